@@ -52,39 +52,45 @@ def radii_of_curvature(lat):
 
     Parameters: ``lat``, geodetic latitude, rad. Returns ``(R_N, R_E)``, m ([2]_ 2.105 and 2.106).
     """
-    x = 1 - ECCENTRICITY_SQUARED * np.sin(lat) ** 2
+    return radii_by_sine(np.sin(lat))
+
+
+@register_jitable
+def radii_by_sine(sin_lat):
+    """`radii_of_curvature` for loops that have the sine of the latitude at hand."""
+    x = 1 - ECCENTRICITY_SQUARED * sin_lat**2
     R_E = EQUATORIAL_RADIUS / np.sqrt(x)
     return R_E * (1 - ECCENTRICITY_SQUARED) / x, R_E
 
 
 @register_jitable
-def gravity_j2(lat, height):
+def gravity_j2(sin_lat, cos_lat, height):
     """Gravity (gravitation and centrifugal) of the J2 earth, resolved in n.
 
-    Parameters: ``lat``, geodetic, rad; ``height``, m. Returns ``(g_north, g_down)``, m/s^2; the
-    east component is zero.
+    Parameters: sine and cosine of geodetic latitude; ``height``, m. Returns ``(g_north, g_down)``,
+    m/s^2; the east component is zero.
     """
-    sin_lat, cos_lat = np.sin(lat), np.cos(lat)
-    R_E = EQUATORIAL_RADIUS / np.sqrt(1 - ECCENTRICITY_SQUARED * sin_lat**2)
+    R_E = radii_by_sine(sin_lat)[1]
     # In the meridian plane: distance from the axis, and along the axis.
     x = (R_E + height) * cos_lat
     z = (R_E * (1 - ECCENTRICITY_SQUARED) + height) * sin_lat
-    r2 = x * x + z * z
-    central = -GRAVITATIONAL_PARAMETER / (r2 * np.sqrt(r2))
-    oblate = 1.5 * J2 * EQUATORIAL_RADIUS**2 / r2
-    s2 = 5 * z * z / r2
+    r2_inverse = 1 / (x * x + z * z)
+    central = -GRAVITATIONAL_PARAMETER * r2_inverse * np.sqrt(r2_inverse)
+    oblate = 1.5 * J2 * EQUATORIAL_RADIUS**2 * r2_inverse
+    s2 = 5 * z * z * r2_inverse
     g_x = central * x * (1 + oblate * (1 - s2)) + EARTH_RATE**2 * x
     g_z = central * z * (1 + oblate * (3 - s2))
     return -sin_lat * g_x + cos_lat * g_z, -cos_lat * g_x - sin_lat * g_z
 
 
 @register_jitable
-def gravity_somigliana(lat, height):
+def gravity_somigliana(sin_lat, height):
     """Normal gravity on the ellipsoid (Somigliana) carried to height by a second-order formula.
 
-    Parameters and returns as `gravity_j2`; ``g_north`` is zero here ([1]_ 4-1 and 4-3).
+    Parameters: sine of geodetic latitude; ``height``, m. Returns ``(g_north, g_down)``, m/s^2;
+    ``g_north`` is zero here ([1]_ 4-1 and 4-3).
     """
-    s2 = np.sin(lat) ** 2
+    s2 = sin_lat**2
     surface = GRAVITY_EQUATOR * (1 + SOMIGLIANA_K * s2) / np.sqrt(1 - ECCENTRICITY_SQUARED * s2)
     ratio = height / EQUATORIAL_RADIUS
     down = surface * (1 - 2 * ratio * (1 + FLATTENING + GRAVITY_RATIO - 2 * FLATTENING * s2) + 3 * ratio**2)
@@ -92,11 +98,21 @@ def gravity_somigliana(lat, height):
 
 
 @register_jitable
-def gravity(model, lat, height):
-    """Gravity of the named model: ``(g_north, g_down)``, m/s^2. ``model`` is a `GravityModel`."""
+def gravity_by_sine(model, sin_lat, cos_lat, height):
+    """`gravity` for loops that have the sine and the cosine of the latitude at hand."""
     if model == 0:
-        return gravity_j2(lat, height)
-    return gravity_somigliana(lat, height)
+        return gravity_j2(sin_lat, cos_lat, height)
+    return gravity_somigliana(sin_lat, height)
+
+
+@register_jitable
+def gravity(model, lat, height):
+    """Gravity of a named model.
+
+    Parameters: ``model``, a `GravityModel`; ``lat``, geodetic, rad; ``height``, m.
+    Returns ``(g_north, g_down)``, m/s^2.
+    """
+    return gravity_by_sine(model, np.sin(lat), np.cos(lat), height)
 
 
 @register_jitable
