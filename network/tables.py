@@ -1,0 +1,129 @@
+"""Columns of numbers in CSV and Parquet files, checked as they are read."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import ArrayLike, NDArray
+from pyarrow import csv, parquet
+from pydantic import AfterValidator, ValidationInfo
+
+Array = NDArray[np.float64]
+
+
+def _in_folder(file: Path, info: ValidationInfo) -> Path:
+    return Path((info.context or {}).get("folder", ""), file)
+
+
+DataFile = Annotated[Path, AfterValidator(_in_folder)]
+"""A file that settings name. A relative one is taken from the validation context's ``folder``, if given."""
+
+
+class TableError(ValueError):
+    """A file that cannot be read as numbers. The message is one line; what it says is kept beside it.
+
+    ``column``, ``row`` (1 is the first row of data), ``value`` and ``allowed`` are None where they do
+    not apply.
+    """
+
+    def __init__(
+        self,
+        file: Path,
+        problem: str,
+        column: str | None = None,
+        row: int | None = None,
+        value: object = None,
+        allowed: str | None = None,
+    ) -> None:
+        self.file, self.column, self.row, self.value, self.allowed = file, column, row, value, allowed
+        place = "".join(f", {name} {where}" for name, where in (("column", column), ("row", row)) if where)
+        super().__init__(f"{file}{place}: {problem}")
+
+
+def read_columns(
+    file: Path, required: Iterable[str], optional: Iterable[str] = (), *, refuse_others: bool = False
+) -> dict[str, Array]:
+    """The named columns of a CSV or Parquet file, finite float64, each (k,), without absent optional ones.
+
+    Raises `TableError` for a file that cannot be read, a missing, repeated or (``refuse_others``) unknown
+    column, and for a cell that is not a finite number.
+    """
+    required, optional = list(required), list(optional)
+    table = _read_table(file)
+    names = table.column_names
+    for name in names:
+        if names.count(name) > 1:
+            raise TableError(file, "stands there more than once", name)
+    missing = [name for name in required if name not in names]
+    if missing:
+        raise TableError(file, f"no column {', '.join(missing)}; it has {', '.join(names)}")
+    unknown = [name for name in names if name not in required + optional]
+    if unknown and refuse_others:
+        raise TableError(file, f"unknown column {', '.join(unknown)}")
+    return {name: _numbers(file, name, table) for name in required + optional if name in names}
+
+
+def write_columns(columns: Mapping[str, ArrayLike], file: Path) -> None:
+    """Write columns to a CSV or Parquet file, by the file's suffix; raises `TableError` for another."""
+    table = pa.table({name: np.asarray(values) for name, values in columns.items()})
+    match file.suffix.lower():
+        case ".csv":
+            csv.write_csv(table, file)
+        case ".parquet":
+            parquet.write_table(table, file)
+        case _:
+            raise TableError(file, "must end in .csv or .parquet")
+
+
+def check_rows(file: Path, column: str, values: Array, good: NDArray[np.bool_], allowed: str) -> None:
+    """Raise `TableError` for the first row that is not good."""
+    if not good.all():
+        row = int(np.argmin(good))
+        value = float(values[row])
+        raise TableError(file, f"{value:.10g} is not allowed ({allowed})", column, row + 1, value, allowed)
+
+
+def check_range(file: Path, column: str, values: Array, low: float, high: float) -> None:
+    """Raise `TableError` for the first value outside ``low`` to ``high`` (both allowed)."""
+    check_rows(file, column, values, (values >= low) & (values <= high), f"{low:.10g} to {high:.10g}")
+
+
+def _read_table(file: Path) -> pa.Table:
+    try:
+        match file.suffix.lower():
+            case ".csv":
+                return csv.read_csv(file)
+            case ".parquet":
+                return parquet.read_table(file)
+            case _:
+                raise TableError(file, "must end in .csv or .parquet")
+    except FileNotFoundError as error:
+        raise TableError(file, "no such file") from error
+    except (OSError, pa.ArrowInvalid) as error:
+        raise TableError(file, " ".join(str(error).split())) from error
+
+
+def _numbers(file: Path, column: str, table: pa.Table) -> Array:
+    cells = table.column(column)
+    if not (pa.types.is_floating(cells.type) or pa.types.is_integer(cells.type)):
+        # One odd cell makes its whole column text: find it for the message.
+        for row, cell in enumerate(cells.to_pylist(), start=1):
+            if not _is_number(cell):
+                raise TableError(file, f"{cell!r} is not a number", column, row, cell, "a finite number")
+        raise TableError(file, f"holds {cells.type}, not numbers", column)
+    values = cells.cast(pa.float64(), safe=False).to_numpy()
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        value, row = cells[int(bad[0])].as_py(), int(bad[0]) + 1
+        raise TableError(file, f"{value} is not a finite number", column, row, value, "a finite number")
+    return values
+
+
+def _is_number(cell: object) -> bool:
+    try:
+        float(cell)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return False
+    return True
