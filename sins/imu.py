@@ -70,37 +70,37 @@ class ImuErrors(Settings):
     axis, ``"constant"`` the stated value on all axes.
     """
 
-    gyro_bias_deg_h: float = Field(0.02, ge=0, le=1e4)
-    accel_bias_ug: float = Field(100.0, ge=0, le=1e6)
+    gyro_bias_deg_h: float = Field(default=0.02, ge=0, le=1e4)
+    accel_bias_ug: float = Field(default=100.0, ge=0, le=1e6)
     bias_draw: Literal["gaussian", "random_sign", "constant"] = "gaussian"
 
-    gyro_arw_deg_sqrt_h: float = Field(0.01, ge=0, le=100)
+    gyro_arw_deg_sqrt_h: float = Field(default=0.01, ge=0, le=100)
     """Angular random walk: root PSD of the gyros' white noise (two-sided, [1]_ 4.4.3)."""
-    accel_vrw_ug_sqrt_hz: float = Field(5.0, ge=0, le=1e5)
+    accel_vrw_ug_sqrt_hz: float = Field(default=5.0, ge=0, le=1e5)
     """Velocity random walk: root PSD of the accelerometers' white noise (two-sided)."""
-    vibration_mps: float = Field(0.01, ge=0, le=10)
+    vibration_mps: float = Field(default=0.01, ge=0, le=10)
     """RMS of a white jitter of the vehicle's velocity, each axis, which the accelerometers sense.
     It is a velocity, so the sum of its increments is the present jitter: it does not accumulate."""
 
-    gyro_scale_factor_ppm: float = Field(0.0, ge=0, le=1e5)
-    accel_scale_factor_ppm: float = Field(0.0, ge=0, le=1e5)
-    gyro_misalignment_arcsec: float = Field(0.0, ge=0, le=36000)
+    gyro_scale_factor_ppm: float = Field(default=0.0, ge=0, le=1e5)
+    accel_scale_factor_ppm: float = Field(default=0.0, ge=0, le=1e5)
+    gyro_misalignment_arcsec: float = Field(default=0.0, ge=0, le=36000)
     """Coupling of each gyro with either of the two axes across it (six independent angles)."""
-    accel_misalignment_arcsec: float = Field(0.0, ge=0, le=36000)
-    gyro_g_sensitivity_deg_h_g: float = Field(0.0, ge=0, le=1e4)
+    accel_misalignment_arcsec: float = Field(default=0.0, ge=0, le=36000)
+    gyro_g_sensitivity_deg_h_g: float = Field(default=0.0, ge=0, le=1e4)
     """Gyro bias for specific force; nine independent coefficients."""
 
-    gyro_bias_instability_deg_h: float = Field(0.0, ge=0, le=1e4)
+    gyro_bias_instability_deg_h: float = Field(default=0.0, ge=0, le=1e4)
     """Standard deviation of a stationary first-order Gauss-Markov bias. Its Allan deviation is
     greatest, 0.617 times this, at 1.89 correlation times ([2]_)."""
-    gyro_bias_correlation_s: float = Field(600.0, ge=0.1, le=1e7)
-    accel_bias_instability_ug: float = Field(0.0, ge=0, le=1e6)
+    gyro_bias_correlation_s: float = Field(default=600.0, ge=0.1, le=1e7)
+    accel_bias_instability_ug: float = Field(default=0.0, ge=0, le=1e6)
     """As `gyro_bias_instability_deg_h`, for the accelerometers."""
-    accel_bias_correlation_s: float = Field(600.0, ge=0.1, le=1e7)
+    accel_bias_correlation_s: float = Field(default=600.0, ge=0.1, le=1e7)
 
-    gyro_quantum_arcsec: float = Field(0.0, ge=0, le=3600)
+    gyro_quantum_arcsec: float = Field(default=0.0, ge=0, le=3600)
     """Angle of one count; the remainder is carried into the next sample, as in a counter."""
-    accel_quantum_mps: float = Field(0.0, ge=0, le=10)
+    accel_quantum_mps: float = Field(default=0.0, ge=0, le=10)
     """Velocity of one count."""
 
 
