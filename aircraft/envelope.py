@@ -1,0 +1,90 @@
+"""The envelope monitor: ends a flight that leaves what its airframe and plan allow."""
+
+from math import degrees, isfinite, pi, radians
+
+from .airframe import Airframe
+from .guidance import MAX_BANK_SHARE, Sensed
+from .mission import FlightPlan
+from .phases import MissionPhase
+
+ALTITUDE_BUST_M = 50.0
+"""Departure from the altitude wanted that ends a flight in level flight and in the S."""
+RUNWAY_HEADING_DEG = 20.0
+"""Departure from the runway's heading that ends a take-off."""
+
+
+class FlightError(RuntimeError):
+    """A plan that cannot be flown: phase and time (s from brake release) of the failure, and the reason."""
+
+    def __init__(self, phase: str, time_s: float, reason: str) -> None:
+        super().__init__(f"flight failed in phase {phase} at {time_s:.2f} s: {reason}")
+        self.phase = phase
+        self.time_s = time_s
+        self.reason = reason
+
+
+class Envelope:
+    """Watches one flight."""
+
+    def __init__(self, plan: FlightPlan, airframe: Airframe) -> None:
+        """Raises FlightError for an S-manoeuvre steeper than guidance may bank this airframe."""
+        self.plan = plan
+        self.limits = airframe.limits
+        self.heading = radians(plan.start.heading_deg)
+        allowed = MAX_BANK_SHARE * airframe.limits.bank_deg
+        if plan.s_maneuver.bank_deg > allowed:
+            raise FlightError(
+                "s_maneuver",
+                plan.s_start_s,
+                f"{plan.s_maneuver.lateral_acceleration_mps2:g} m/s^2 needs {plan.s_maneuver.bank_deg:.1f} deg"
+                f" of bank, guidance allows the {airframe.name} {allowed:.1f} deg",
+            )
+
+    def check(self, phase: MissionPhase, t: float, elapsed: float, s: Sensed) -> None:
+        """Raises FlightError when the state at ``t``, ``elapsed`` s into the phase, is outside."""
+        reason = self._fault(phase, t, elapsed, s)
+        if reason:
+            raise FlightError(phase.name, t, reason)
+
+    def _fault(self, phase: MissionPhase, t: float, elapsed: float, s: Sensed) -> str | None:
+        limits = self.limits
+        if not isfinite(s.altitude + s.airspeed + s.roll + s.pitch + s.heading + s.p + s.q + s.r + s.alpha):
+            return "the state is no longer finite"
+        if elapsed > phase.limit_s:
+            return f"not finished within {phase.limit_s:g} s"
+        if phase.name == "takeoff":
+            return self._takeoff_fault(s)
+        if t >= self.plan.s_start_s and phase.name in ("climb", "capture"):
+            return (
+                f"level flight at {self.plan.altitude_m:g} m and {self.plan.speed_mps:g} m/s has not settled"
+                f" when the S-manoeuvre is due (now {s.altitude:.1f} m, {s.airspeed:.1f} m/s)"
+            )
+        if s.on_wheels or s.height < 0.0:
+            return "ground contact in flight"
+        alpha = degrees(s.alpha)
+        if not limits.alpha_min_deg <= alpha <= limits.alpha_max_deg:
+            return (
+                f"stall: angle of attack {alpha:.1f} deg outside {limits.alpha_min_deg:g} to"
+                f" {limits.alpha_max_deg:g} deg"
+            )
+        if not limits.load_factor_min_g <= s.load_factor <= limits.load_factor_max_g:
+            return (
+                f"load factor {s.load_factor:.2f} g outside {limits.load_factor_min_g:g} to"
+                f" {limits.load_factor_max_g:g} g"
+            )
+        if abs(degrees(s.roll)) > limits.bank_deg:
+            return f"bank {degrees(s.roll):.1f} deg beyond {limits.bank_deg:g} deg"
+        error = s.altitude - self.plan.altitude_m
+        if error > ALTITUDE_BUST_M or (phase.name != "climb" and error < -ALTITUDE_BUST_M):
+            return (
+                f"altitude {s.altitude:.1f} m, more than {ALTITUDE_BUST_M:g} m off {self.plan.altitude_m:g} m"
+            )
+        return None
+
+    def _takeoff_fault(self, s: Sensed) -> str | None:
+        runway = self.plan.start.runway_length_m
+        if s.distance > runway:
+            return f"runway of {runway:g} m overrun at {s.airspeed:.1f} m/s"
+        if abs(degrees((s.heading - self.heading + pi) % (2 * pi) - pi)) > RUNWAY_HEADING_DEG:
+            return f"left the runway's heading by more than {RUNWAY_HEADING_DEG:g} deg"
+        return None

@@ -1,0 +1,120 @@
+"""The mission's settings: take-off, climb, level flight, S-manoeuvre, and the air it is flown in."""
+
+from enum import StrEnum
+from math import atan, degrees
+
+from pydantic import Field, model_validator
+
+from ..sins.earth import STANDARD_GRAVITY
+from ..sins.settings import Settings
+
+GUIDANCE_RATE_HZ = 50
+"""Rate of guidance, of the mission's phases and of the envelope monitor."""
+
+
+class Start(Settings):
+    """Where and how the aircraft stands before the brakes are released.
+
+    Gao et al. (2009, Table 1) give the initial attitude as (0, 0, 45) deg, the last of it a roll angle; no
+    aircraft stands on a runway like that, so the 45 deg are taken for the heading.
+    """
+
+    longitude_deg: float = Field(default=120.0, ge=-180, le=180)
+    latitude_deg: float = Field(default=30.0, ge=-80, le=80)
+    altitude_m: float = Field(default=5.0, ge=-100, le=3000)
+    """Of the centre of gravity at rest on the gear, over the ellipsoid; the runway is below it by the
+    height of the gear."""
+    heading_deg: float = Field(default=45.0, ge=-180, le=360)
+    runway_length_m: float = Field(default=3500.0, ge=100, le=10000)
+    """A take-off that is longer fails."""
+
+
+class SManeuver(Settings):
+    """A sinusoidal lateral acceleration ``a sin(2 pi t / period + phase)`` made by coordinated bank.
+
+    Its amplitude is raised and lowered smoothly over ``entry_s`` at both ends, so that the bank starts and
+    ends near zero whatever the phase.
+    """
+
+    duration_s: float = Field(default=40.0, ge=5, le=40)
+    lateral_acceleration_mps2: float = Field(default=6.0, ge=0, le=25)
+    """Peak; the bank is ``atan(a / g)``."""
+    period_s: float = Field(default=20.0, ge=4, le=80)
+    phase_deg: float = Field(default=0.0, ge=-360, le=360)
+    entry_s: float = Field(default=2.0, ge=0.5, le=10)
+
+    @property
+    def bank_deg(self) -> float:
+        """Peak bank."""
+        return degrees(atan(self.lateral_acceleration_mps2 / STANDARD_GRAVITY))
+
+
+class Turbulence(StrEnum):
+    """JSBSim's turbulence models."""
+
+    NONE = "none"
+    MILSPEC = "milspec"
+    TUSTIN = "tustin"
+
+
+class Air(Settings):
+    """Steady wind and turbulence."""
+
+    wind_north_mps: float = Field(default=0.0, ge=-25, le=25)
+    """Velocity of the air, so a wind *from* the south is positive."""
+    wind_east_mps: float = Field(default=0.0, ge=-25, le=25)
+    wind_down_mps: float = Field(default=0.0, ge=-5, le=5)
+    turbulence: Turbulence = Turbulence.NONE
+    turbulence_wind_mps: float = Field(default=7.62, ge=0, le=25)
+    """Wind speed 20 ft above the ground, which sets the turbulence below 2000 ft (MIL-F-8785C)."""
+    turbulence_severity: int = Field(default=3, ge=1, le=7)
+    """Row of MIL-F-8785C's exceedance table, which sets the turbulence above 2000 ft: 3 light, 4 moderate,
+    6 severe."""
+
+
+class FlightPlan(Settings):
+    """Everything that determines a flight: the same plan gives the same flight, bit for bit.
+
+    Take-off from rest, climb to ``altitude_m``, level flight at ``speed_mps`` until ``s_start_s``, the
+    S-manoeuvre, and level flight for ``tail_s``. Gao et al. (2009), section 5.1: 1015 m, 200 m/s, an
+    alignment of at most 40 s; 500 s of localisation come before it. Times are seconds from brake release.
+    """
+
+    airframe: str = "f16"
+    start: Start = Start()
+    altitude_m: float = Field(default=1015.0, ge=200, le=5000)
+    speed_mps: float = Field(default=200.0, ge=120, le=280)
+    """Airspeed, relative to the air that moves with the steady wind."""
+    s_start_s: float = Field(default=500.0, ge=60, le=3600)
+    """Level flight must have settled by then."""
+    s_maneuver: SManeuver = SManeuver()
+    tail_s: float = Field(default=5.0, ge=0, le=600)
+    air: Air = Air()
+    seed: int = Field(default=0, ge=0, le=2**31 - 1)
+    """Of the turbulence."""
+    imu_rate_hz: int = Field(default=100, ge=50, le=800)
+    """Rate of the flight's rows."""
+    fdm_rate_hz: int = Field(default=0, ge=0, le=3200)
+    """Rate of the flight model; a multiple of the IMU's and of 50 Hz. 0: 400 Hz, in turbulence 800 Hz."""
+
+    @model_validator(mode="after")
+    def _rates_divide(self) -> "FlightPlan":
+        rate = self.model_rate_hz
+        if rate % self.imu_rate_hz or rate % GUIDANCE_RATE_HZ or rate < 100:
+            raise ValueError(
+                f"fdm_rate_hz {rate}: at least 100, and a multiple of imu_rate_hz {self.imu_rate_hz}"
+                f" and of guidance's {GUIDANCE_RATE_HZ}"
+            )
+        return self
+
+    @property
+    def model_rate_hz(self) -> int:
+        """Rate at which the flight model runs."""
+        if self.fdm_rate_hz:
+            return self.fdm_rate_hz
+        return 400 if self.air.turbulence is Turbulence.NONE else 800
+
+    @property
+    def end_s(self) -> float:
+        """Time at which the flight ends."""
+        return self.s_start_s + self.s_maneuver.duration_s + self.tail_s

@@ -1,0 +1,149 @@
+"""The phases of the mission, each with what it wants of guidance and the condition that ends it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import atan, cos, exp, inf, pi, radians, sin
+
+from ..sins.earth import STANDARD_GRAVITY as G
+from .airframe import Airframe
+from .guidance import Sensed, Target
+from .mission import GUIDANCE_RATE_HZ, FlightPlan, SManeuver
+
+CLEAR_HEIGHT = 3.0
+"""The wheels are clear of the runway for good, m."""
+CAPTURE_ALTITUDE = 30.0
+"""The climb ends so far below the altitude wanted, m."""
+SETTLED_ALTITUDE, SETTLED_SPEED, SETTLED_CLIMB_RATE = 0.5, 0.25, 0.1
+"""Level flight has settled when the means (over `MEAN_TIME`) of the errors are below these: m, m/s, m/s."""
+MEAN_TIME = 10.0
+
+
+@dataclass
+class Takeoff:
+    """Roll from rest with full throttle, rotation, until the wheels are clear. Gear down."""
+
+    plan: FlightPlan
+    airframe: Airframe
+    name = "takeoff"
+    limit_s = 120.0
+    gear = 1.0
+
+    def target(self, t: float, s: Sensed) -> Target:
+        heading = radians(self.plan.start.heading_deg)
+        rotate = s.airspeed >= self.airframe.rotation_speed_mps or not s.on_wheels
+        pitch = radians(self.airframe.rotation_pitch_deg) if rotate else None
+        return Target(self.plan.speed_mps, heading, pitch=pitch, bank=0.0, on_runway=s.on_wheels)
+
+    def finished(self, t: float, s: Sensed) -> bool:
+        return not s.on_wheels and s.height > self.airframe.gear_height_m + CLEAR_HEIGHT
+
+
+@dataclass
+class _LevelTarget:
+    """Altitude, speed and heading of the plan."""
+
+    plan: FlightPlan
+    gear = 0.0
+
+    def target(self, t: float, s: Sensed) -> Target:
+        plan = self.plan
+        return Target(plan.speed_mps, radians(plan.start.heading_deg), altitude=plan.altitude_m)
+
+
+@dataclass
+class Climb(_LevelTarget):
+    """Gear up; climb and accelerate, until the altitude is near."""
+
+    name = "climb"
+    limit_s = 300.0
+
+    def finished(self, t: float, s: Sensed) -> bool:
+        return s.altitude > self.plan.altitude_m - CAPTURE_ALTITUDE
+
+
+@dataclass
+class Capture(_LevelTarget):
+    """Altitude and speed settle, until the mean errors are small."""
+
+    name = "capture"
+    limit_s = 300.0
+    mean_altitude: float = CAPTURE_ALTITUDE
+    mean_speed: float = CAPTURE_ALTITUDE
+    mean_climb_rate: float = CAPTURE_ALTITUDE
+
+    def finished(self, t: float, s: Sensed) -> bool:
+        keep = exp(-1 / (GUIDANCE_RATE_HZ * MEAN_TIME))
+        self.mean_altitude += (1 - keep) * (abs(s.altitude - self.plan.altitude_m) - self.mean_altitude)
+        self.mean_speed += (1 - keep) * (abs(s.airspeed - self.plan.speed_mps) - self.mean_speed)
+        self.mean_climb_rate += (1 - keep) * (abs(s.climb_rate) - self.mean_climb_rate)
+        return (
+            self.mean_altitude < SETTLED_ALTITUDE
+            and self.mean_speed < SETTLED_SPEED
+            and self.mean_climb_rate < SETTLED_CLIMB_RATE
+        )
+
+
+@dataclass
+class Level(_LevelTarget):
+    """Settled level flight, until the S-manoeuvre is due."""
+
+    name = "level"
+    limit_s = inf
+
+    def finished(self, t: float, s: Sensed) -> bool:
+        return t >= self.plan.s_start_s
+
+
+@dataclass
+class SManeuverPhase(_LevelTarget):
+    """The S at constant altitude and speed, for its duration."""
+
+    name = "s_maneuver"
+    limit_s = inf
+
+    def target(self, t: float, s: Sensed) -> Target:
+        plan = self.plan
+        since = t - plan.s_start_s
+        bank, ahead = s_bank(plan.s_maneuver, since), s_bank(plan.s_maneuver, since + 0.02)
+        return Target(
+            plan.speed_mps,
+            s.heading,
+            altitude=plan.altitude_m,
+            bank=bank,
+            bank_rate=(ahead - bank) / 0.02,
+        )
+
+    def finished(self, t: float, s: Sensed) -> bool:
+        return t >= self.plan.s_start_s + self.plan.s_maneuver.duration_s
+
+
+@dataclass
+class Tail(_LevelTarget):
+    """Level flight again, back on the first heading, until the plan's end."""
+
+    name = "tail"
+    limit_s = inf
+
+    def finished(self, t: float, s: Sensed) -> bool:
+        return t >= self.plan.end_s
+
+
+MissionPhase = Takeoff | Climb | Capture | Level | SManeuverPhase | Tail
+
+
+def s_bank(maneuver: SManeuver, t: float) -> float:
+    """Bank wanted ``t`` s after the start of the manoeuvre, rad."""
+    edge = min(max(min(t, maneuver.duration_s - t) / maneuver.entry_s, 0.0), 1.0)
+    window = 0.5 - 0.5 * cos(pi * edge)
+    phase = 2 * pi * t / maneuver.period_s + radians(maneuver.phase_deg)
+    return atan(window * maneuver.lateral_acceleration_mps2 * sin(phase) / G)
+
+
+def mission_phases(plan: FlightPlan, airframe: Airframe) -> Iterator[MissionPhase]:
+    """The phases in their order, new for each flight."""
+    yield Takeoff(plan, airframe)
+    yield Climb(plan)
+    yield Capture(plan)
+    yield Level(plan)
+    yield SManeuverPhase(plan)
+    yield Tail(plan)

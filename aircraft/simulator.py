@@ -1,0 +1,235 @@
+"""The JSBSim loop: flies a plan and returns the flight."""
+
+import math
+import time as wall
+from array import array
+from collections.abc import Callable
+
+import jsbsim
+import numpy as np
+
+from ..sins.earth import GravityModel
+from .airframe import Airframe, load_airframe
+from .envelope import Envelope, FlightError
+from .flight import Flight, Phase
+from .guidance import Controls, Guidance, Sensed
+from .mission import GUIDANCE_RATE_HZ, FlightPlan, Turbulence
+from .phases import mission_phases
+from .truth import InertialStates, increments, navigation_truth, summed
+
+Progress = Callable[[float, float], None]
+"""Called with the time flown and the whole time, s."""
+
+FOOT = 0.3048
+POUND_PER_SQUARE_FOOT = 47.88025898
+SETTLING_S = 10.0
+"""On the brakes before time zero, so that the gear's springs come to rest."""
+PROGRESS_INTERVAL_S = 0.06
+TURBULENCE_TYPE = {Turbulence.NONE: 0, Turbulence.MILSPEC: 3, Turbulence.TUSTIN: 4}
+ROTATION_INTEGRATOR = 7
+"""JSBSim's number of the exact map of a constant rate onto the attitude (local linearisation)."""
+
+
+class _Model:
+    """One JSBSim instance, on the runway with its engines running and its brakes set."""
+
+    def __init__(self, plan: FlightPlan, airframe: Airframe) -> None:
+        jsbsim.FGJSBBase().debug_lvl = 0
+        self.plan = plan
+        self.fdm = jsbsim.FGFDMExec(None)
+        if not self.fdm.load_model(airframe.model):
+            raise FlightError("preparation", 0.0, f"JSBSim has no usable model {airframe.model!r}")
+        self.fdm.set_dt(1.0 / plan.model_rate_hz)
+        self._place(airframe)
+        engines = range(airframe.engines)
+        self._throttles = [self._setter(f"fcs/throttle-cmd-norm[{i}]") for i in engines]
+        self._surfaces = [
+            self._setter(f"fcs/{name}-cmd-norm") for name in ("elevator", "aileron", "rudder", "steer")
+        ]
+        self._brakes = [self._setter(f"fcs/{side}-brake-cmd-norm") for side in ("left", "right", "center")]
+        self.set_gear = self._setter("gear/gear-cmd-norm")
+        names = (
+            "position/geod-alt-ft position/h-agl-ft velocities/v-north-fps velocities/v-east-fps"
+            " velocities/v-down-fps attitude/phi-rad attitude/theta-rad attitude/psi-rad"
+            " velocities/p-rad_sec velocities/q-rad_sec velocities/r-rad_sec aero/alpha-rad"
+            " accelerations/Nz aero/qbar-psf gear/wow position/distance-from-start-mag-mt"
+        )
+        self._sensors = [self._getter(name) for name in names.split()]
+        states = (
+            "position/eci-x-ft position/eci-y-ft position/eci-z-ft"
+            " velocities/eci-x-fps velocities/eci-y-fps velocities/eci-z-fps"
+            " attitude/phi-rad attitude/theta-rad attitude/psi-rad"
+        )
+        self.state_getters = [self._getter(name) for name in states.split()]
+
+    def _node(self, name: str):
+        node = self.fdm.get_property_manager().get_node(name)
+        if node is None:
+            raise FlightError("preparation", 0.0, f"the flight model has no property {name!r}")
+        return node
+
+    def _getter(self, name: str) -> Callable[[], float]:
+        return self._node(name).get_double_value
+
+    def _setter(self, name: str) -> Callable[[float], object]:
+        return self._node(name).set_double_value
+
+    def _set(self, values: dict[str, float]) -> None:
+        for name, value in values.items():
+            self._setter(name)(value)
+
+    def _place(self, airframe: Airframe) -> None:
+        start, air = self.plan.start, self.plan.air
+        self._set(
+            {
+                "ic/long-gc-deg": start.longitude_deg,
+                "ic/lat-geod-deg": start.latitude_deg,
+                "ic/terrain-elevation-ft": (start.altitude_m - airframe.gear_height_m) / FOOT,
+                "ic/h-agl-ft": airframe.gear_height_m / FOOT,
+                "ic/psi-true-deg": start.heading_deg,
+                "gear/gear-cmd-norm": 1.0,
+            }
+        )
+        if not self.fdm.run_ic():
+            raise FlightError("preparation", 0.0, "JSBSim refuses the initial conditions")
+        self._set(
+            {
+                "simulation/integrator/position/rotational": ROTATION_INTEGRATOR,
+                "simulation/randomseed": self.plan.seed,
+                "propulsion/set-running": -1,
+                "atmosphere/wind-north-fps": air.wind_north_mps / FOOT,
+                "atmosphere/wind-east-fps": air.wind_east_mps / FOOT,
+                "atmosphere/wind-down-fps": air.wind_down_mps / FOOT,
+                "atmosphere/turb-type": TURBULENCE_TYPE[air.turbulence],
+                "atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps": air.turbulence_wind_mps / FOOT,
+                "atmosphere/turbulence/milspec/severity": air.turbulence_severity,
+            }
+        )
+
+    def set_brakes(self, value: float) -> None:
+        for brake in self._brakes:
+            brake(value)
+
+    def command(self, controls: Controls) -> None:
+        elevator, aileron, rudder, steer = self._surfaces
+        elevator(controls.elevator)
+        aileron(controls.aileron)
+        rudder(controls.rudder)
+        steer(controls.steer)
+        for throttle in self._throttles:
+            throttle(controls.throttle)
+
+    def sense(self) -> Sensed:
+        (
+            altitude,
+            height,
+            north,
+            east,
+            down,
+            roll,
+            pitch,
+            heading,
+            p,
+            q,
+            r,
+            alpha,
+            nz,
+            qbar,
+            wow,
+            distance,
+        ) = [sensor() for sensor in self._sensors]
+        air = self.plan.air
+        return Sensed(
+            altitude=altitude * FOOT,
+            height=height * FOOT,
+            climb_rate=-down * FOOT,
+            airspeed=math.hypot(
+                north * FOOT - air.wind_north_mps,
+                east * FOOT - air.wind_east_mps,
+                down * FOOT - air.wind_down_mps,
+            ),
+            roll=roll,
+            pitch=pitch,
+            heading=heading,
+            p=p,
+            q=q,
+            r=r,
+            alpha=alpha,
+            load_factor=nz,
+            dynamic_pressure=qbar * POUND_PER_SQUARE_FOOT,
+            on_wheels=wow > 0.5,
+            distance=distance,
+        )
+
+
+def fly(plan: FlightPlan, progress: Progress | None = None) -> Flight:
+    """Fly the plan in JSBSim.
+
+    ``progress`` is called some 15 times a second of wall time with the time flown and the whole time, s.
+    The same plan gives the same flight, bit for bit. Raises FlightError, which names phase and time, when
+    the plan cannot be flown, and ValueError for an unknown airframe.
+    """
+    airframe = load_airframe(plan.airframe)
+    model = _Model(plan, airframe)
+    rate = plan.model_rate_hz
+    steps = rate // GUIDANCE_RATE_HZ
+    run = model.fdm.run
+    model.set_brakes(1.0)
+    for _ in range(round(SETTLING_S * rate)):
+        run()
+    model.set_brakes(0.0)
+    earth_angle = model.fdm["position/epa-rad"]
+
+    guidance = Guidance(airframe, 1 / GUIDANCE_RATE_HZ)
+    envelope = Envelope(plan, airframe)
+    record = array("d")
+    extend = record.extend
+    rx, ry, rz, vx, vy, vz, roll, pitch, heading = model.state_getters
+    extend((rx(), ry(), rz(), vx(), vy(), vz(), roll(), pitch(), heading()))
+
+    marks: list[Phase] = []
+    tick = 0
+    next_report = wall.perf_counter()
+    for phase in mission_phases(plan, airframe):
+        start = tick / GUIDANCE_RATE_HZ
+        model.set_gear(phase.gear)
+        while True:
+            t = tick / GUIDANCE_RATE_HZ
+            sensed = model.sense()
+            if phase.finished(t, sensed):
+                break
+            envelope.check(phase, t, t - start, sensed)
+            model.command(guidance.update(sensed, phase.target(t, sensed)))
+            for _ in range(steps):
+                run()
+                extend((rx(), ry(), rz(), vx(), vy(), vz(), roll(), pitch(), heading()))
+            tick += 1
+            if progress is not None and wall.perf_counter() >= next_report:
+                progress(t, plan.end_s)
+                next_report = wall.perf_counter() + PROGRESS_INTERVAL_S
+        marks.append(Phase(phase.name, start, t))
+    if progress is not None:
+        progress(plan.end_s, plan.end_s)
+    return _flight(plan, airframe, record, earth_angle, tuple(marks))
+
+
+def _flight(
+    plan: FlightPlan, airframe: Airframe, record: array, earth_angle: float, phases: tuple[Phase, ...]
+) -> Flight:
+    rows = np.frombuffer(record).reshape(-1, 9)
+    rate = plan.model_rate_hz
+    states = InertialStates(rows[:, :3] * FOOT, rows[:, 3:6] * FOOT, rows[:, 6:], earth_angle, 1 / rate)
+    lla, v_n, q_nb, q_ib = navigation_truth(states)
+    dtheta, dv = increments(states, q_ib)
+    ratio = rate // plan.imu_rate_hz
+    return Flight(
+        time=np.arange(len(lla[::ratio])) / plan.imu_rate_hz,
+        lla=lla[::ratio].copy(),
+        v_n=v_n[::ratio].copy(),
+        q_nb=q_nb[::ratio].copy(),
+        dtheta_b=summed(dtheta, ratio),
+        dv_b=summed(dv, ratio),
+        phases=phases,
+        airframe=airframe.name,
+        gravity=GravityModel.J2,
+    )
