@@ -1,0 +1,1 @@
+"""In-flight alignment: error-state filters on delayed fixes, their bound and their consistency."""

@@ -1,0 +1,431 @@
+"""Compiled closed-loop error-state filter over one record of increments and fixes.
+
+State vector ``X``, shape (17,): lla 0:3, v_n 3:6, q_nb 6:10, accelerometer bias 10:13, gyro bias
+13:16, mean delay 16. Error state, shape (16,): the fifteen of `sins.error_model` and the delay's
+error. The readable twins of `kinematics` and `update` stand in `align.measurement`.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from ..sins._kernels import (
+    COMPILED,
+    advance,
+    fill_C_nb,
+    fill_transition,
+    predict_covariance,
+    rotate_attitude,
+)
+from ..sins.earth import EARTH_RATE, gravity, radii_of_curvature, transport_rate_n
+
+N = 16
+DELAY = 15
+IGNORED, STAMPED, ESTIMATED = 0, 1, 2
+PENDING, FUSED, INITIALIZED, GATED, DUPLICATE, LATE, NOT_FINITE, FUTURE = range(8)
+
+
+@njit(**COMPILED)
+def predict(X, P, time, increments, k, noise_density, gravity_model, work):
+    """Carry state and covariance from epoch k - 1 to epoch k.
+
+    ``noise_density``, shape (16,), are the power spectral densities of the white noises on the states.
+    """
+    Phi, W, C, increment, previous, f_n, noise = work
+    dt = time[k] - time[k - 1]
+    for i in range(3):
+        increment[i] = increments[k, i] - X[13 + i] * dt
+        increment[3 + i] = increments[k, 3 + i] - X[10 + i] * dt
+        previous[i] = increments[k - 1, i] - X[13 + i] * dt if k > 1 else 0.0
+        previous[3 + i] = increments[k - 1, 3 + i] - X[10 + i] * dt if k > 1 else 0.0
+    advance(X[0:3], X[3:6], X[6:10], increment, previous, dt, gravity_model, f_n)
+    fill_C_nb(X[6:10], C)
+    fill_transition(X[0:3], X[3:6], f_n, C, dt, Phi)
+    for i in range(N):
+        noise[i] = noise_density[i] * dt
+    predict_covariance(P, Phi, noise, W)
+
+
+@njit(**COMPILED)
+def kinematics(X, time, increments, k, samples, gravity_model, C, f_n, u):
+    """Velocity and acceleration of the vehicle in n: ``u``, shape (6,).
+
+    The specific force is averaged over the last ``samples`` intervals, so that vibration is not taken
+    for acceleration; ``f_n`` and ``C`` (C_nb) are written too.
+    """
+    fill_C_nb(X[6:10], C)
+    first = max(k - samples, 0)
+    span = time[k] - time[first]
+    lat, height = X[0], X[2]
+    north, east, down = X[3], X[4], X[5]
+    for i in range(3):
+        f_n[i] = 0.0
+    if span > 0:
+        for j in range(3):
+            mean = 0.0
+            for s in range(first + 1, k + 1):
+                mean += increments[s, 3 + j]
+            mean = mean / span - X[10 + j]
+            for i in range(3):
+                f_n[i] += C[i, j] * mean
+    g_north, g_down = gravity(gravity_model, lat, height)
+    en_north, en_east, en_down = transport_rate_n(lat, height, north, east)
+    c_north, c_east = 2 * EARTH_RATE * math.cos(lat) + en_north, en_east
+    c_down = -2 * EARTH_RATE * math.sin(lat) + en_down
+    u[0], u[1], u[2] = north, east, down
+    u[3] = f_n[0] + g_north - (c_east * down - c_down * east)
+    u[4] = f_n[1] - (c_down * north - c_north * down)
+    u[5] = f_n[2] + g_down - (c_north * east - c_east * north)
+    if span == 0:
+        u[3] = u[4] = u[5] = 0.0
+
+
+@njit(**COMPILED)
+def update(
+    X,
+    P,
+    lla,
+    v_n,
+    cov,
+    vibration_variance,
+    age,
+    delay_sd,
+    estimated,
+    C,
+    f_n,
+    u,
+    gate,
+    innovation,
+    buffers,
+):
+    """Correct state and covariance by one fix; Joseph form. Returns (NIS, applied).
+
+    Parameters: ``vibration_variance``, (m/s)^2, of the measured velocity about the mean motion; ``age``,
+    s, how long before the present epoch the fix was valid; ``delay_sd``, s, its random part; ``estimated``, whether ``age`` holds the delay state; ``gate``, the largest NIS to accept.
+    Nothing but ``innovation``, shape (6,), is written if the fix is not applied.
+    """
+    H, PHt, S, R, K, M, AP, x = buffers
+    R_N, R_E = radii_of_curvature(X[0])
+    innovation[0] = (X[0] - lla[0]) * (R_N + X[2]) - age * u[0]
+    innovation[1] = (X[1] - lla[1]) * (R_E + X[2]) * math.cos(X[0]) - age * u[1]
+    innovation[2] = lla[2] - X[2] - age * u[2]
+    for i in range(3):
+        innovation[3 + i] = X[3 + i] - age * u[3 + i] - v_n[i]
+
+    H[:] = 0.0
+    for i in range(3):
+        H[i, i] = 1.0
+        H[i, 3 + i] = -age
+        H[3 + i, 3 + i] = 1.0
+        for j in range(3):
+            H[3 + i, 9 + j] = -age * C[i, j]
+    H[3, 7], H[3, 8] = age * f_n[2], -age * f_n[1]
+    H[4, 6], H[4, 8] = -age * f_n[2], age * f_n[0]
+    H[5, 6], H[5, 7] = age * f_n[1], -age * f_n[0]
+    if estimated:
+        for i in range(6):
+            H[i, DELAY] = -u[i]
+    for i in range(6):
+        for j in range(6):
+            R[i, j] = cov[i, j] + delay_sd * delay_sd * u[i] * u[j]
+        if i >= 3:
+            R[i, i] += vibration_variance
+
+    for r in range(N):
+        for i in range(6):
+            s = 0.0
+            for c in range(N):
+                s += P[r, c] * H[i, c]
+            PHt[r, i] = s
+    for i in range(6):
+        for j in range(i + 1):
+            s = R[i, j]
+            for c in range(N):
+                s += H[i, c] * PHt[c, j]
+            S[i, j] = s
+    # Cholesky factor in the lower triangle of S.
+    for i in range(6):
+        for j in range(i + 1):
+            s = S[i, j]
+            for k in range(j):
+                s -= S[i, k] * S[j, k]
+            if i == j:
+                if not s > 0:
+                    return math.nan, False
+                S[i, i] = math.sqrt(s)
+            else:
+                S[i, j] = s / S[j, j]
+    nis = 0.0
+    for i in range(6):
+        s = innovation[i]
+        for k in range(i):
+            s -= S[i, k] * x[k]
+        x[i] = s / S[i, i]
+        nis += x[i] * x[i]
+    if not nis <= gate:
+        return nis, False
+
+    for r in range(N):
+        for i in range(6):
+            s = PHt[r, i]
+            for k in range(i):
+                s -= S[i, k] * K[r, k]
+            K[r, i] = s / S[i, i]
+        for i in range(5, -1, -1):
+            s = K[r, i]
+            for k in range(i + 1, 6):
+                s -= S[k, i] * K[r, k]
+            K[r, i] = s / S[i, i]
+    # Joseph form, (I - K H) P (I - K H)' + K R K', as AP - (AP H' - K R) K' with AP = P - K (P H')'.
+    for r in range(N):
+        for c in range(N):
+            AP[r, c] = P[r, c]
+        for i in range(6):
+            k_ri = K[r, i]
+            for c in range(N):
+                AP[r, c] -= k_ri * PHt[c, i]
+    for r in range(N):
+        for i in range(6):
+            s = 0.0
+            for c in range(N):
+                s += AP[r, c] * H[i, c]
+            for j in range(6):
+                s -= K[r, j] * R[j, i]
+            M[r, i] = s
+    for r in range(N):
+        for c in range(r + 1):
+            s = AP[r, c]
+            for i in range(6):
+                s -= M[r, i] * K[c, i]
+            P[r, c] = s
+            P[c, r] = s
+
+    for r in range(N):
+        s = 0.0
+        for i in range(6):
+            s += K[r, i] * innovation[i]
+        x[r] = s
+    X[0] -= x[0] / (R_N + X[2])
+    X[1] -= x[1] / ((R_E + X[2]) * math.cos(X[0]))
+    X[2] += x[2]
+    for i in range(3):
+        X[3 + i] -= x[3 + i]
+        X[10 + i] += x[9 + i]
+        X[13 + i] += x[12 + i]
+    rotate_attitude(X[6:10], x[6], x[7], x[8])
+    X[16] -= x[15]
+    return nis, True
+
+
+@njit(**COMPILED)
+def _initialize(X, P, time, increments, k, q_initial, lla, v_n, initial, sd, gravity_model, work):
+    """Start at epoch k: position and velocity of a fix, attitude carried there from epoch 0 by the gyros."""
+    increment, previous, f_n = work[3], work[4], work[5]
+    for i in range(4):
+        X[6 + i] = q_initial[i]
+    for j in range(1, k + 1):
+        for i in range(3):
+            X[i], X[3 + i] = lla[i], v_n[i]
+        for i in range(6):
+            increment[i] = increments[j, i]
+            previous[i] = increments[j - 1, i] if j > 1 else 0.0
+        dt = time[j] - time[j - 1]
+        advance(X[0:3], X[3:6], X[6:10], increment, previous, dt, gravity_model, f_n)
+    for i in range(3):
+        X[i], X[3 + i] = lla[i], v_n[i]
+    for i in range(7):
+        X[10 + i] = initial[i]
+    P[:] = 0.0
+    for i in range(N):
+        P[i, i] = sd[i] * sd[i]
+
+
+@njit(**COMPILED)
+def _meaningful(X, P):
+    """Whether the state is finite and no variance is negative."""
+    for i in range(17):
+        if not math.isfinite(X[i]):
+            return False
+    for i in range(N):
+        if not (P[i, i] >= 0 and P[i, i] < math.inf):
+            return False
+    return True
+
+
+@njit(**COMPILED)
+def align(
+    time,
+    increments,
+    q_initial,
+    fixes,
+    outcome,
+    delay_model,
+    delay_sd,
+    initial,
+    initial_sd,
+    noise_density,
+    vibration_variance,
+    gate,
+    horizon,
+    samples,
+    gravity_model,
+    output_epoch,
+    outputs,
+):
+    """Run the filter over a record; returns whether it started, and whether state and covariance stayed finite.
+
+    Fixes come in order of arrival. Each is applied at an epoch of the record: at its arrival, or, if
+    its stamp is trusted (``delay_model`` STAMPED), at the first epoch not before the stamp. The states of
+    the last ``horizon`` epochs are kept; a fix for one of them takes its place among the fixes that
+    came before it, and everything since is done again. So the result after the last of a shuffled set of
+    fixes is that of the sorted set, to the last bit.
+
+    Parameters (n epochs, k fixes, m outputs)
+    ----------
+    time (n,), increments (n, 6) : record, as in `sins.mechanization`.
+    q_initial (4,) : coarse attitude at epoch 0.
+    fixes : tuple of lla (k, 3), v_n (k, 3), cov (k, 6, 6), t_reference (k,) that a fix's age counts from
+        (its stamp or its arrival), arrival epoch (k,), reference epoch (k,), packet (k,) one number per
+        packet sent, source (k,) counted from 0, sequence (k,).
+    outcome (k,) : PENDING, or the reason for which a fix must not be used; is filled.
+    initial (7,), initial_sd (16,) : biases and delay at the start; standard deviations at the start.
+    noise_density (16,) : power spectral densities of the white noises on the states.
+    gate : largest NIS to accept. horizon : epochs. samples : intervals to average the specific force over.
+    output_epoch (m,) : epochs at which to write the outputs, increasing.
+    outputs : tuple of X (m, 17), variances (m, 16), misalignment covariance (m, 3, 3), innovation (k, 6),
+        nis (k,), fix time (k,); what is not reached keeps what it had.
+    """
+    fix_lla, fix_v_n, fix_cov, t_reference, arrival_epoch, reference_epoch, packet, source, sequence = fixes
+    X_out, variance_out, misalignment_out, innovation_out, nis_out, fix_time_out = outputs
+    n, n_fixes = len(time), len(arrival_epoch)
+    stamped, estimated = delay_model == STAMPED, delay_model == ESTIMATED
+    X, P = np.zeros(17), np.zeros((N, N))
+    work = (
+        np.zeros((9, 15)),
+        np.zeros((9, N)),
+        np.zeros((3, 3)),
+        np.zeros(6),
+        np.zeros(6),
+        np.zeros(3),
+        np.zeros(N),
+    )
+    buffers = (
+        np.zeros((6, N)),
+        np.zeros((N, 6)),
+        np.zeros((6, 6)),
+        np.zeros((6, 6)),
+        np.zeros((N, 6)),
+        np.zeros((N, 6)),
+        np.zeros((N, N)),
+        np.zeros(N),
+    )
+    C, f_n, u, innovation = np.zeros((3, 3)), np.zeros(3), np.zeros(6), np.zeros(6)
+    kept = horizon + 1 if stamped else 1
+    X_kept, P_kept = np.zeros((kept, 17)), np.zeros((kept, N, N))
+    epoch, applied, n_applied = np.zeros(n_fixes, np.int64), np.zeros(n_fixes, np.int64), 0
+    seen, newest = np.zeros(n_fixes, np.bool_), np.full(n_fixes, -1, np.int64)
+    running, arriving, output = False, 0, 0
+
+    for k in range(n):
+        if running:
+            predict(X, P, time, increments, k, noise_density, gravity_model, work)
+            if stamped:
+                X_kept[k % kept], P_kept[k % kept] = X, P
+
+        # Take in what has arrived, each fix at its place in the order of application.
+        back, restart = k + 1, False
+        while arriving < n_fixes and arrival_epoch[arriving] <= k:
+            f = arriving
+            arriving += 1
+            if outcome[f] != PENDING:
+                continue
+            if seen[packet[f]]:
+                outcome[f] = DUPLICATE
+                continue
+            epoch[f] = reference_epoch[f] if stamped else k
+            overtaken = not stamped and sequence[f] < newest[source[f]]
+            if overtaken or epoch[f] < 0 or epoch[f] < k - horizon:
+                outcome[f] = LATE
+                continue
+            seen[packet[f]] = True
+            newest[source[f]] = max(newest[source[f]], sequence[f])
+            place = n_applied
+            while place > 0:
+                g = applied[place - 1]
+                if (epoch[g], t_reference[g], packet[g]) <= (epoch[f], t_reference[f], packet[f]):
+                    break
+                applied[place] = g
+                place -= 1
+            applied[place] = f
+            n_applied += 1
+            restart = restart or place == 0
+            back = min(back, epoch[f])
+
+        # Go back to the oldest of them, and forward again.
+        if back <= k:
+            first = n_applied
+            while first > 0 and epoch[applied[first - 1]] >= back:
+                first -= 1
+            if restart:
+                f = applied[0]
+                _initialize(
+                    X,
+                    P,
+                    time,
+                    increments,
+                    back,
+                    q_initial,
+                    fix_lla[f],
+                    fix_v_n[f],
+                    initial,
+                    initial_sd,
+                    gravity_model,
+                    work,
+                )
+                running = True
+                if stamped:
+                    X_kept[back % kept], P_kept[back % kept] = X, P
+            elif back < k:
+                X[:], P[:] = X_kept[back % kept], P_kept[back % kept]
+            for j in range(back, k + 1):
+                if j > back:
+                    predict(X, P, time, increments, j, noise_density, gravity_model, work)
+                    X_kept[j % kept], P_kept[j % kept] = X, P
+                while first < n_applied and epoch[applied[first]] == j:
+                    f = applied[first]
+                    kinematics(X, time, increments, j, samples, gravity_model, C, f_n, u)
+                    age = time[j] - t_reference[f] + (X[16] if estimated else 0.0)
+                    nis, taken = update(
+                        X,
+                        P,
+                        fix_lla[f],
+                        fix_v_n[f],
+                        fix_cov[f],
+                        vibration_variance,
+                        age,
+                        delay_sd,
+                        estimated,
+                        C,
+                        f_n,
+                        u,
+                        gate if first > 0 else math.inf,
+                        innovation,
+                        buffers,
+                    )
+                    outcome[f] = INITIALIZED if first == 0 else (FUSED if taken else GATED)
+                    innovation_out[f] = innovation
+                    nis_out[f] = nis
+                    fix_time_out[f] = time[j]
+                    first += 1
+            if not _meaningful(X, P):
+                return running, False
+
+        if running and output < len(output_epoch) and output_epoch[output] == k:
+            X_out[output] = X
+            for i in range(N):
+                variance_out[output, i] = P[i, i]
+            misalignment_out[output] = P[6:9, 6:9]
+        if output < len(output_epoch) and output_epoch[output] == k:
+            output += 1
+    return running, True

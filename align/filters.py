@@ -1,0 +1,218 @@
+"""Alignment filters by name: one closed-loop error-state filter, three ways to treat a fix's delay.
+
+``ekf``
+    Takes a fix for the present when it arrives: the EKF of Gao et al.
+``ekf_stamped``
+    Trusts the stamp and applies the fix at the time of its validity: what clocks in common make possible.
+``l2linf``
+    Has no stamp: estimates the mean delay as a state and puts its random part into the measurement noise.
+    This is the finite-horizon energy-to-peak (l2-linf) filter; `docs/derivations.md` derives it and
+    relates it to Theorem 2 of Gao et al.
+
+References
+----------
+.. [1] C. Gao, J. Lu, G. Zhao, S. Pan, "A Localization and In-flight Alignment Protocol for Airborne
+       SINS Based on Flight-vehicle Wireless Sensor Networks", eqs. (10) to (13), Table 1.
+.. [2] P. D. Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation
+       Systems", 2nd ed., section 14.2.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+from scipy.stats import chi2
+
+from ..network.fixes import Fixes
+from ..sins.earth import GravityModel
+from ..sins.error_model import ACCEL, GYRO, MISALIGN, POSITION, VELOCITY
+from ..sins.imu import ImuErrors
+from ..sins.settings import Settings
+from ..sins.units import (
+    DEG,
+    DEG_PER_HOUR,
+    DEG_PER_SQRT_HOUR,
+    MICRO_G,
+    MICRO_G_PER_SQRT_HZ,
+    MILLISECOND,
+)
+from . import _kernels
+from .estimate import Estimate, FixOutcome, RunOutcome
+from .measurement import DELAY, N_STATES
+
+Array = NDArray[np.float64]
+
+DIFFUSE_POSITION_M = 1e3
+DIFFUSE_VELOCITY_MPS = 1e2
+"""Standard deviations before the first fix: so large that the fix alone decides."""
+
+
+class DelayModel(IntEnum):
+    """How a filter treats the delay of a fix."""
+
+    IGNORED = _kernels.IGNORED
+    STAMPED = _kernels.STAMPED
+    ESTIMATED = _kernels.ESTIMATED
+
+
+FILTERS = {"ekf": DelayModel.IGNORED, "ekf_stamped": DelayModel.STAMPED, "l2linf": DelayModel.ESTIMATED}
+"""Filters that a scenario can name."""
+
+
+class FilterSettings(Settings):
+    """What the filters are told, besides the error budget of the IMU and the covariance of each fix."""
+
+    level_sd_deg: float = Field(default=1.0, gt=0, le=30)
+    heading_sd_deg: float = Field(default=10.0, gt=0, le=60)
+    """Standard deviations of the coarse attitude that the filter starts from."""
+    delay_mean_ms: float = Field(default=25.0, ge=0, le=10_000)
+    delay_mean_sd_ms: float = Field(default=30.0, ge=0, le=10_000)
+    """Prior of the mean delay that ``l2linf`` estimates."""
+    delay_sd_ms: float = Field(default=14.4, ge=0, le=10_000)
+    """Random part of the delay that ``l2linf`` allows for: 50 ms / sqrt(12) for U[0, 50] ms."""
+    gate_probability: float = Field(default=0.99999, gt=0.5, lt=1)
+    """Probability with which a good fix passes the innovation gate."""
+    horizon_s: float = Field(default=2.0, ge=0, le=60)
+    """How far back a stamped fix may reach."""
+    acceleration_window_s: float = Field(default=0.1, gt=0, le=2)
+    """Time over which the specific force is averaged to predict where the vehicle was."""
+    output_rate_hz: float = Field(default=10.0, gt=0, le=1000)
+
+
+def noise_density(imu: ImuErrors) -> Array:
+    """Power spectral densities, shape (16,), of the white noises that drive the error state.
+
+    A Gauss-Markov bias enters as the random walk that it is over times short against its correlation.
+    """
+    density = np.zeros(N_STATES)
+    density[VELOCITY] = (imu.accel_vrw_ug_sqrt_hz * MICRO_G_PER_SQRT_HZ) ** 2
+    density[MISALIGN] = (imu.gyro_arw_deg_sqrt_h * DEG_PER_SQRT_HOUR) ** 2
+    density[ACCEL] = 2 * (imu.accel_bias_instability_ug * MICRO_G) ** 2 / imu.accel_bias_correlation_s
+    density[GYRO] = 2 * (imu.gyro_bias_instability_deg_h * DEG_PER_HOUR) ** 2 / imu.gyro_bias_correlation_s
+    return density
+
+
+def initial_sd(settings: FilterSettings, imu: ImuErrors, delay: DelayModel) -> Array:
+    """Standard deviations of the error state, shape (16,), before the first fix."""
+    sd = np.zeros(N_STATES)
+    sd[POSITION] = DIFFUSE_POSITION_M
+    sd[VELOCITY] = DIFFUSE_VELOCITY_MPS
+    sd[MISALIGN] = np.array([settings.level_sd_deg, settings.level_sd_deg, settings.heading_sd_deg]) * DEG
+    sd[ACCEL] = np.hypot(imu.accel_bias_ug, imu.accel_bias_instability_ug) * MICRO_G
+    sd[GYRO] = np.hypot(imu.gyro_bias_deg_h, imu.gyro_bias_instability_deg_h) * DEG_PER_HOUR
+    if delay is DelayModel.ESTIMATED:
+        sd[DELAY] = settings.delay_mean_sd_ms * MILLISECOND
+    return sd
+
+
+def align(
+    time: ArrayLike,
+    dtheta_b: ArrayLike,
+    dv_b: ArrayLike,
+    q_nb_coarse: ArrayLike,
+    fixes: Fixes,
+    delay: DelayModel,
+    settings: FilterSettings,
+    imu: ImuErrors,
+    gravity: GravityModel,
+) -> Estimate:
+    """Align over one record, as it would happen: a fix counts from its arrival on.
+
+    Parameters
+    ----------
+    time : (n,) s, increasing. dtheta_b, dv_b : (n, 3) rad and m/s over the interval that ends at ``time``.
+    q_nb_coarse : (4,) attitude at ``time[0]``, wrong by the initial misalignment.
+    fixes : in any order; taken by arrival. The first one starts position and velocity.
+    delay : how to treat delays. imu : error budget that the filter is told. gravity : model to navigate with.
+
+    Returns
+    -------
+    Estimate at ``output_rate_hz`` and at the end. Samples and fixes that are not finite never enter the
+    state: such a sample is replaced by the last good one, such a fix is left out, and both are counted.
+    """
+    time = np.ascontiguousarray(time, float)
+    increments, held = _finite_increments(np.hstack([np.asarray(dtheta_b, float), np.asarray(dv_b, float)]))
+    fixes = fixes.sorted_by_arrival()
+    n, k = len(time), len(fixes)
+    dt = (time[-1] - time[0]) / (n - 1)
+
+    reference = fixes.t_stamp if delay is DelayModel.STAMPED else fixes.t_arrival
+    outcome = np.full(k, FixOutcome.PENDING, dtype=np.int64)
+    if delay is DelayModel.STAMPED:
+        outcome[fixes.t_stamp > fixes.t_arrival + dt] = FixOutcome.FUTURE
+        outcome[fixes.t_stamp < time[0]] = FixOutcome.LATE
+    finite = [np.isfinite(a).reshape(k, -1).all(axis=1) for a in (fixes.lla, fixes.v_n, fixes.cov)]
+    outcome[~np.logical_and.reduce(finite)] = FixOutcome.NOT_FINITE
+    arrival_epoch = np.searchsorted(time, fixes.t_arrival)
+    reference_epoch = np.minimum(np.searchsorted(time, reference), arrival_epoch)
+    identity = np.stack([fixes.source, fixes.sequence], axis=1)
+    packet = np.unique(identity, axis=0, return_inverse=True)[1].reshape(-1)
+    source = np.unique(fixes.source, return_inverse=True)[1]
+
+    every = max(1, round(1 / (settings.output_rate_hz * dt)))
+    output_epoch = np.unique(np.append(np.arange(every, n, every), n - 1))
+    m = len(output_epoch)
+    X, variance, misalignment_cov = (np.full(shape, np.nan) for shape in ((m, 17), (m, N_STATES), (m, 3, 3)))
+    innovation, nis, fix_time = (np.full(shape, np.nan) for shape in ((k, 6), (k,), (k,)))
+    initial = np.zeros(7)
+    estimated = delay is DelayModel.ESTIMATED
+    initial[6] = settings.delay_mean_ms * MILLISECOND if estimated else 0.0
+
+    started, finite_to_the_end = _kernels.align(
+        time,
+        increments,
+        np.array(q_nb_coarse, float),
+        (
+            fixes.lla,
+            fixes.v_n,
+            fixes.cov,
+            reference,
+            arrival_epoch,
+            reference_epoch,
+            packet,
+            source,
+            fixes.sequence,
+        ),
+        outcome,
+        int(delay),
+        settings.delay_sd_ms * MILLISECOND if estimated else 0.0,
+        initial,
+        initial_sd(settings, imu, delay),
+        noise_density(imu),
+        imu.vibration_mps**2,
+        float(chi2.ppf(settings.gate_probability, 6)),
+        round(settings.horizon_s / dt),
+        max(1, round(settings.acceleration_window_s / dt)),
+        int(gravity),
+        output_epoch,
+        (X, variance, misalignment_cov, innovation, nis, fix_time),
+    )
+    ending = RunOutcome.ALIGNED if finite_to_the_end else RunOutcome.NOT_FINITE
+    return Estimate(
+        time=time[output_epoch],
+        lla=X[:, 0:3],
+        v_n=X[:, 3:6],
+        q_nb=X[:, 6:10],
+        accel_bias=X[:, 10:13],
+        gyro_bias=X[:, 13:16],
+        delay=X[:, 16],
+        sd=np.sqrt(variance),
+        misalignment_cov=misalignment_cov,
+        innovation=innovation,
+        nis=nis,
+        fix_time=fix_time,
+        fix_outcome=outcome,
+        held_imu_samples=held,
+        outcome=ending if started else RunOutcome.NO_FIX,
+    )
+
+
+def _finite_increments(increments: Array) -> tuple[Array, int]:
+    """Replace rows that are not finite by the last good row (zero at the very start); count them."""
+    bad = ~np.isfinite(increments).all(axis=1)
+    held = int(np.count_nonzero(bad))
+    if held:
+        last_good = np.maximum.accumulate(np.where(bad, -1, np.arange(len(increments))))
+        increments = np.where((last_good < 0)[:, None], 0.0, increments[last_good])
+    return np.ascontiguousarray(increments), held
