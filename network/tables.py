@@ -1,5 +1,6 @@
 """Columns of numbers in CSV and Parquet files, checked as they are read."""
 
+import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated
@@ -107,23 +108,27 @@ def _read_table(file: Path) -> pa.Table:
 
 def _numbers(file: Path, column: str, table: pa.Table) -> Array:
     cells = table.column(column)
-    if not (pa.types.is_floating(cells.type) or pa.types.is_integer(cells.type)):
+    kind = cells.type
+    if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)):
         # One odd cell makes its whole column text: find it for the message.
         for row, cell in enumerate(cells.to_pylist(), start=1):
-            if not _is_number(cell):
-                raise TableError(file, f"{cell!r} is not a number", column, row, cell, "a finite number")
-        raise TableError(file, f"holds {cells.type}, not numbers", column)
+            if not _is_finite_number(cell):
+                raise _not_finite(file, column, row, cell)
+        raise TableError(file, f"holds {kind}, not numbers", column)
     values = cells.cast(pa.float64(), safe=False).to_numpy()
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
-        value, row = cells[int(bad[0])].as_py(), int(bad[0]) + 1
-        raise TableError(file, f"{value} is not a finite number", column, row, value, "a finite number")
+        raise _not_finite(file, column, int(bad[0]) + 1, cells[int(bad[0])].as_py())
     return values
 
 
-def _is_number(cell: object) -> bool:
+def _is_finite_number(cell: object) -> bool:
     try:
-        float(cell)  # type: ignore[arg-type]
+        return math.isfinite(float(cell))  # type: ignore[arg-type]
     except (TypeError, ValueError):
         return False
-    return True
+
+
+def _not_finite(file: Path, column: str, row: int, cell: object) -> TableError:
+    shown = "an empty cell" if cell is None else repr(cell)
+    return TableError(file, f"{shown} is not a finite number", column, row, cell, "a finite number")
