@@ -22,7 +22,7 @@ class FixOutcome(IntEnum):
     DUPLICATE = 4
     """The same source had sent the same sequence number before."""
     LATE = 5
-    """Valid before the record or the horizon, or overtaken by a younger packet and without a trusted stamp."""
+    """Valid before the record or the horizon; without a trusted stamp, overtaken by a younger packet."""
     NOT_FINITE = 6
     """A NaN or an infinity in it."""
     FUTURE = 7

@@ -37,7 +37,7 @@ from ..sins.units import (
     MICRO_G_PER_SQRT_HZ,
     MILLISECOND,
 )
-from . import _kernels
+from . import _alignment_kernel, _kernels
 from .estimate import Estimate, FixOutcome, RunOutcome
 from .measurement import DELAY, N_STATES
 
@@ -159,7 +159,7 @@ def align(
     estimated = delay is DelayModel.ESTIMATED
     initial[6] = settings.delay_mean_ms * MILLISECOND if estimated else 0.0
 
-    started, finite_to_the_end = _kernels.align(
+    started, finite_to_the_end = _alignment_kernel.align(
         time,
         increments,
         np.array(q_nb_coarse, float),

@@ -46,7 +46,7 @@ def kinematics(state: NavigationState, f_b: Array, gravity: GravityModel) -> tup
     g_north, g_down = earth.gravity(gravity, lat, height)
     w_ie = np.array(earth.earth_rate_n(lat))
     w_en = np.array(earth.transport_rate_n(lat, height, state.v_n[0], state.v_n[1]))
-    a_n = f_n + [g_north, 0, g_down] - np.cross(2 * w_ie + w_en, state.v_n)
+    a_n = f_n + np.array([g_north, 0.0, g_down]) - np.cross(2 * w_ie + w_en, state.v_n)
     return np.concatenate([state.v_n, a_n]), f_n
 
 

@@ -1,0 +1,240 @@
+"""The compiled loop of one alignment: take in fixes as they arrive, go back for late ones, go on.
+
+Built on the steps of `align._kernels`.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from ..sins._kernels import COMPILED, advance
+from ._kernels import (
+    DUPLICATE,
+    ESTIMATED,
+    FUSED,
+    GATED,
+    INITIALIZED,
+    LATE,
+    N_STATES,
+    PENDING,
+    STAMPED,
+    kinematics,
+    predict,
+    update,
+)
+
+
+@njit(**COMPILED)
+def _initialize(X, P, time, increments, k, q_initial, lla, v_n, initial, sd, gravity_model, work):
+    """Start at epoch k: position and velocity of a fix, attitude carried there from epoch 0 by the gyros."""
+    increment, previous, f_n = work[3], work[4], work[5]
+    for i in range(4):
+        X[6 + i] = q_initial[i]
+    for j in range(1, k + 1):
+        for i in range(3):
+            X[i], X[3 + i] = lla[i], v_n[i]
+        for i in range(6):
+            increment[i] = increments[j, i]
+            previous[i] = increments[j - 1, i] if j > 1 else 0.0
+        dt = time[j] - time[j - 1]
+        advance(X[0:3], X[3:6], X[6:10], increment, previous, dt, gravity_model, f_n)
+    for i in range(3):
+        X[i], X[3 + i] = lla[i], v_n[i]
+    for i in range(7):
+        X[10 + i] = initial[i]
+    P[:] = 0.0
+    for i in range(N_STATES):
+        P[i, i] = sd[i] * sd[i]
+
+
+@njit(**COMPILED)
+def _meaningful(X, P):
+    """Whether the state is finite and no variance is negative."""
+    for i in range(17):
+        if not math.isfinite(X[i]):
+            return False
+    trace = 0.0
+    for i in range(N_STATES):
+        if P[i, i] < 0:
+            return False
+        trace += P[i, i]
+    return math.isfinite(trace)
+
+
+@njit(**COMPILED)
+def align(
+    time,
+    increments,
+    q_initial,
+    fixes,
+    outcome,
+    delay_model,
+    delay_sd,
+    initial,
+    initial_sd,
+    noise_density,
+    vibration_variance,
+    gate,
+    horizon,
+    samples,
+    gravity_model,
+    output_epoch,
+    outputs,
+):
+    """Run the filter over a record. Returns (started, stayed finite).
+
+    Fixes come in order of arrival. Each is applied at an epoch of the record: at its arrival, or, if
+    its stamp is trusted (``delay_model`` STAMPED), at the first epoch not before the stamp. The states of
+    the last ``horizon`` epochs are kept; a fix for one of them takes its place among the fixes that
+    came before it, and everything since is done again. So the result after the last of a shuffled set of
+    fixes is that of the sorted set, to the last bit.
+
+    Parameters (n epochs, k fixes, m outputs)
+    ----------
+    time (n,), increments (n, 6) : record, as in `sins.mechanization`.
+    q_initial (4,) : coarse attitude at epoch 0.
+    fixes : tuple of lla (k, 3), v_n (k, 3), cov (k, 6, 6), t_reference (k,) that a fix's age counts from
+        (its stamp or its arrival), arrival epoch (k,), reference epoch (k,), packet (k,) one number per
+        packet sent, source (k,) counted from 0, sequence (k,).
+    outcome (k,) : PENDING, or the reason for which a fix must not be used; is filled.
+    initial (7,), initial_sd (16,) : biases and delay at the start; standard deviations at the start.
+    noise_density (16,) : power spectral densities of the white noises on the states.
+    gate : largest NIS to accept. horizon : epochs. samples : intervals to average the specific force over.
+    output_epoch (m,) : epochs at which to write the outputs, increasing.
+    outputs : tuple of X (m, 17), variances (m, 16), misalignment covariance (m, 3, 3), innovation (k, 6),
+        nis (k,), fix time (k,); what is not reached keeps what it had.
+    """
+    fix_lla, fix_v_n, fix_cov, t_reference, arrival_epoch, reference_epoch, packet, source, sequence = fixes
+    X_out, variance_out, misalignment_out, innovation_out, nis_out, fix_time_out = outputs
+    n, n_fixes = len(time), len(arrival_epoch)
+    stamped, estimated = delay_model == STAMPED, delay_model == ESTIMATED
+    X, P = np.zeros(17), np.zeros((N_STATES, N_STATES))
+    work = (
+        np.zeros((9, 15)),
+        np.zeros((9, N_STATES)),
+        np.zeros((3, 3)),
+        np.zeros(6),
+        np.zeros(6),
+        np.zeros(3),
+        np.zeros(N_STATES),
+    )
+    buffers = (
+        np.zeros((6, N_STATES)),
+        np.zeros((N_STATES, 6)),
+        np.zeros((6, 6)),
+        np.zeros((6, 6)),
+        np.zeros((N_STATES, 6)),
+        np.zeros((N_STATES, 6)),
+        np.zeros((N_STATES, N_STATES)),
+        np.zeros(N_STATES),
+    )
+    C, f_n, u, innovation = np.zeros((3, 3)), np.zeros(3), np.zeros(6), np.zeros(6)
+    kept = horizon + 1 if stamped else 1
+    X_kept, P_kept = np.zeros((kept, 17)), np.zeros((kept, N_STATES, N_STATES))
+    epoch, applied, n_applied = np.zeros(n_fixes, np.int64), np.zeros(n_fixes, np.int64), 0
+    seen, newest = np.zeros(n_fixes, np.bool_), np.full(n_fixes, -1, np.int64)
+    running, arriving, output = False, 0, 0
+
+    for k in range(n):
+        if running:
+            predict(X, P, time, increments, k, noise_density, gravity_model, work)
+            if stamped:
+                X_kept[k % kept], P_kept[k % kept] = X, P
+
+        # Take in what has arrived, each fix at its place in the order of application.
+        back, restart = k + 1, False
+        while arriving < n_fixes and arrival_epoch[arriving] <= k:
+            f = arriving
+            arriving += 1
+            if outcome[f] != PENDING:
+                continue
+            if seen[packet[f]]:
+                outcome[f] = DUPLICATE
+                continue
+            epoch[f] = reference_epoch[f] if stamped else k
+            overtaken = not stamped and sequence[f] < newest[source[f]]
+            if overtaken or epoch[f] < 0 or epoch[f] < k - horizon:
+                outcome[f] = LATE
+                continue
+            seen[packet[f]] = True
+            newest[source[f]] = max(newest[source[f]], sequence[f])
+            place = n_applied
+            while place > 0:
+                g = applied[place - 1]
+                if (epoch[g], t_reference[g], packet[g]) <= (epoch[f], t_reference[f], packet[f]):
+                    break
+                applied[place] = g
+                place -= 1
+            applied[place] = f
+            n_applied += 1
+            restart = restart or place == 0
+            back = min(back, epoch[f])
+
+        # Go back to the oldest of them, and forward again.
+        if back <= k:
+            first = n_applied
+            while first > 0 and epoch[applied[first - 1]] >= back:
+                first -= 1
+            if restart:
+                f = applied[0]
+                _initialize(
+                    X,
+                    P,
+                    time,
+                    increments,
+                    back,
+                    q_initial,
+                    fix_lla[f],
+                    fix_v_n[f],
+                    initial,
+                    initial_sd,
+                    gravity_model,
+                    work,
+                )
+                running = True
+                if stamped:
+                    X_kept[back % kept], P_kept[back % kept] = X, P
+            elif back < k:
+                X[:], P[:] = X_kept[back % kept], P_kept[back % kept]
+            for j in range(back, k + 1):
+                if j > back:
+                    predict(X, P, time, increments, j, noise_density, gravity_model, work)
+                    X_kept[j % kept], P_kept[j % kept] = X, P
+                while first < n_applied and epoch[applied[first]] == j:
+                    f = applied[first]
+                    kinematics(X, time, increments, j, samples, gravity_model, C, f_n, u)
+                    age = time[j] - t_reference[f] + (X[16] if estimated else 0.0)
+                    nis, taken = update(
+                        X,
+                        P,
+                        fix_lla[f],
+                        fix_v_n[f],
+                        fix_cov[f],
+                        vibration_variance,
+                        age,
+                        delay_sd,
+                        estimated,
+                        C,
+                        f_n,
+                        u,
+                        gate if first > 0 else math.inf,
+                        innovation,
+                        buffers,
+                    )
+                    outcome[f] = INITIALIZED if first == 0 else (FUSED if taken else GATED)
+                    innovation_out[f] = innovation
+                    nis_out[f] = nis
+                    fix_time_out[f] = time[j]
+                    first += 1
+            if not _meaningful(X, P):
+                return running, False
+
+        if running and output < len(output_epoch) and output_epoch[output] == k:
+            X_out[output] = X
+            for i in range(N_STATES):
+                variance_out[output, i] = P[i, i]
+            misalignment_out[output] = P[6:9, 6:9]
+        if output < len(output_epoch) and output_epoch[output] == k:
+            output += 1
+    return running, True
