@@ -33,7 +33,8 @@ def test_position_round_trip(lla):
 
 @given(positions)
 def test_down_is_against_the_gradient_of_height(lla):
-    step = earth.ecef_from_lla(lla + [0, 0, 50.0]) - earth.ecef_from_lla(lla - [0, 0, 50.0])
+    up = np.array([0, 0, 50.0])
+    step = earth.ecef_from_lla(lla + up) - earth.ecef_from_lla(lla - up)
     np.testing.assert_allclose(earth.C_en(lla[0], lla[1])[:, 2], -step / 100, atol=1e-10)
 
 
