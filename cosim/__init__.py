@@ -1,0 +1,1 @@
+"""The co-simulation: scenario, run, score, recording, report, and the command line."""

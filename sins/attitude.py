@@ -150,3 +150,19 @@ def corrected(q_nb: ArrayLike, phi: ArrayLike) -> Array:
 def attitude_error(q_nb: ArrayLike, q_nb_true: ArrayLike) -> Array:
     """Roll, pitch and heading error, computed minus true, rad, wrapped, shape (..., 3)."""
     return wrapped(to_euler(q_nb) - to_euler(q_nb_true))
+
+
+def attitude_error_matrix(q_nb: ArrayLike) -> Array:
+    """T, shape (..., 3, 3), of ``[roll, pitch, heading] error = T phi`` to first order, at attitude ``q_nb``.
+
+    Singular at a pitch of 90 deg, where roll and heading are not defined.
+    """
+    _, pitch, heading = np.moveaxis(to_euler(q_nb), -1, 0)
+    sin_h, cos_h, o, one = np.sin(heading), np.cos(heading), np.zeros_like(pitch), np.ones_like(pitch)
+    rows = [
+        [cos_h / np.cos(pitch), sin_h / np.cos(pitch), o],
+        [-sin_h, cos_h, o],
+        [cos_h * np.tan(pitch), sin_h * np.tan(pitch), one],
+    ]
+    # The computed n is turned by phi, so the body is turned by -phi as seen from it.
+    return -np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

@@ -1,0 +1,270 @@
+"""The command line. Exit status: 0 done, 2 the input is wrong (told in one line), 1 the program failed."""
+
+import json
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import click
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from ..aircraft.flight import Flight
+    from .run import Run
+    from .scenario import Scenario
+    from .score import FilterScore
+
+app = typer.Typer(
+    help="Fly, err, fix, align, record: in-flight alignment of a strapdown INS on late fleet fixes.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+out_console = Console()
+error_console = Console(stderr=True)
+
+ScenarioArgument = Annotated[str, typer.Argument(help="A bundled scenario (see `list`) or a TOML file.")]
+NoCache = Annotated[bool, typer.Option("--no-cache", help="Fly anew, and keep nothing.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, no tables.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else.")]
+
+
+class InputError(ValueError):
+    """An option that cannot be used; one line."""
+
+
+def main() -> None:
+    """Entry point: turns mistakes in the input into one line each and status 2."""
+    from ..aircraft.airframe import AirframeError
+    from ..aircraft.envelope import FlightError
+    from .scenario import ScenarioError
+
+    try:
+        status = app(standalone_mode=False)
+    except click.ClickException as error:
+        status = _refuse(error.format_message())
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        error_console.print("stopped")
+        status = 1
+    except (InputError, ScenarioError, AirframeError, FlightError) as error:
+        status = _refuse(str(error))
+    sys.exit(status or 0)
+
+
+def _refuse(message: str) -> int:
+    for line in message.splitlines():
+        error_console.print(f"fleetalign: {line}", markup=False, highlight=False, soft_wrap=True)
+    return 2
+
+
+@app.command()
+def run(
+    scenario: ScenarioArgument = "gao2009",
+    runs: Annotated[int | None, typer.Option(help="Number of runs; the scenario's by default.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of all runs; the scenario's by default.")] = None,
+    filter_: Annotated[
+        list[str] | None, typer.Option("--filter", help="Filter to run; may be given again.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    view: Annotated[bool, typer.Option("--view", help="Open the recording in the Rerun viewer.")] = False,
+    no_cache: NoCache = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Fly a scenario, align on it many times, and write summary, estimates, recording and report."""
+    from .outputs import EstimatesWriter, manifest, summarize, write_json
+    from .recording import write_recording
+    from .report import write_report
+    from .run import alignment_window, bound_of, simulate_all
+    from .score import Scorer, standard_deviations
+
+    name, settings = _load(scenario, runs, seed, filter_)
+    folder = _output_folder(out or Path(f"fleetalign-{name}"))
+    silent = quiet or as_json
+    flight = _flown(settings, no_cache, silent)
+    window = alignment_window(settings, flight)
+    scorer = Scorer(window, settings.alignment.filters)
+    first: Run | None = None
+    done = 0
+    with (
+        _progress("aligning", silent) as progress,
+        EstimatesWriter(folder / "estimates.parquet", window, settings.imu.vibration_mps) as estimates,
+    ):
+        try:
+            for done_run in simulate_all(settings, window, settings.runs, settings.seed, progress):
+                first = first or done_run
+                scorer.add(done_run)
+                estimates.add(done_run)
+                done += 1
+        except KeyboardInterrupt:
+            error_console.print(f"stopped after {done} of {settings.runs} runs; these are kept")
+            if first is None:
+                raise
+    assert first is not None
+    bound = bound_of(settings, window)
+    bound_sd = standard_deviations(window, bound, settings.imu.vibration_mps)
+    scores = scorer.scores()
+    summary = summarize(name, settings, settings.seed, flight, scores, bound_sd)
+    write_json(folder / "summary.json", summary)
+    command = shlex.join(["fleetalign", *sys.argv[1:]])
+    about = manifest(name, settings, settings.seed, done, command)
+    write_json(folder / "manifest.json", about)
+    with _progress("recording and report", silent) as progress:
+        write_recording(folder / "recording.rrd", settings.title, flight, window, first, bound)
+        progress(1, 2)
+        write_report(folder / "report.html", settings, flight, window, scores, bound_sd, summary, about)
+        progress(2, 2)
+    if as_json:
+        typer.echo(json.dumps(summary, indent=2, allow_nan=False))
+    elif not quiet:
+        out_console.print(_results(settings, summary, scores))
+        for line in settings.paper.remarks if settings.paper else ():
+            out_console.print(f"[dim]-[/dim] {line}", highlight=False)
+        out_console.print(f"report     {folder / 'report.html'}", highlight=False, soft_wrap=True)
+        out_console.print(f"recording  {folder / 'recording.rrd'}", highlight=False, soft_wrap=True)
+    if view:
+        subprocess.Popen([sys.executable, "-m", "rerun", str(folder / "recording.rrd")])
+    if done < settings.runs:
+        raise typer.Exit(1)
+
+
+@app.command()
+def fly(
+    scenario: ScenarioArgument = "gao2009",
+    out: Annotated[Path | None, typer.Option(help="Folder for `flight.parquet`.")] = None,
+    no_cache: NoCache = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Fly a scenario in JSBSim and tell how it went."""
+    from .outputs import write_flight
+
+    _, settings = _load(scenario)
+    folder = _output_folder(out) if out else None
+    flight = _flown(settings, no_cache, quiet or as_json)
+    if folder:
+        write_flight(folder / "flight.parquet", flight)
+    if as_json:
+        typer.echo(json.dumps(flight.summary, indent=2))
+    elif not quiet:
+        table = Table("phase", "from, s", "to, s", "altitude, m", "speed, m/s", title=settings.title)
+        for phase in flight.phases:
+            lla, v_n, _ = flight.at([phase.start_s, phase.end_s])
+            speeds = [float((v**2).sum() ** 0.5) for v in v_n]
+            table.add_row(
+                phase.name,
+                f"{phase.start_s:.2f}",
+                f"{phase.end_s:.2f}",
+                f"{lla[0, 2]:.1f} to {lla[1, 2]:.1f}",
+                f"{speeds[0]:.1f} to {speeds[1]:.1f}",
+            )
+        out_console.print(table)
+        for key, value in flight.summary.items():
+            shown = value if isinstance(value, str) else f"{value:.2f}"
+            out_console.print(f"{key:24} {shown}", highlight=False)
+
+
+@app.command()
+def check(scenario: ScenarioArgument) -> None:
+    """Check a scenario without flying it."""
+    name, settings = _load(scenario)
+    out_console.print(f"{name}: {settings.title}: good", highlight=False, soft_wrap=True)
+
+
+@app.command("list")
+def list_() -> None:
+    """List bundled scenarios, airframes and filters."""
+    from ..aircraft.airframe import airframe_names
+    from ..align.filters import FILTERS
+    from .scenario import load_scenario, scenario_names
+
+    table = Table("kind", "name", "what")
+    for name in scenario_names():
+        table.add_row("scenario", name, load_scenario(name)[1].title)
+    for name in airframe_names():
+        table.add_row("airframe", name, "")
+    for name, delay in FILTERS.items():
+        table.add_row("filter", name, f"delay {delay.name.lower()}")
+    out_console.print(table)
+
+
+def _load(
+    scenario: str, runs: int | None = None, seed: int | None = None, filters: list[str] | None = None
+) -> "tuple[str, Scenario]":
+    """The scenario with the options of the command line in the place of its own."""
+    from .scenario import load_scenario, replaced
+
+    name, settings = load_scenario(scenario)
+    changes = {"runs": runs, "seed": seed, "alignment.filters": filters or None}
+    return name, replaced(settings, {key: value for key, value in changes.items() if value is not None})
+
+
+def _flown(settings: "Scenario", no_cache: bool, silent: bool) -> "Flight":
+    from ..aircraft.cache import cached_flight
+
+    with _progress(f"flying {settings.flight.airframe}", silent) as progress:
+        flight, _ = cached_flight(settings.flight, use_cache=not no_cache, progress=progress)
+    return flight
+
+
+def _output_folder(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".writable"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written: {error.strerror}") from error
+    return folder
+
+
+@contextmanager
+def _progress(what: str, silent: bool) -> Iterator[Callable[[float, float], None]]:
+    """A progress bar on the terminal's error stream; call what it yields with (done, total)."""
+    columns = TextColumn("{task.description:22}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=error_console, disable=silent, transient=True) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _results(settings: "Scenario", summary: dict, scores: "dict[str, FilterScore]") -> Table:
+    """The table of alignment errors, the paper's and the bound's beside ours."""
+    table = Table(
+        title=f"{settings.title}: RMS over {summary['runs']} runs after {settings.alignment.duration_s:g} s"
+    )
+    for heading in ("", "roll, arcsec", "pitch, arcsec", "heading, arcmin", "vE, m/s", "vN, m/s"):
+        table.add_column(heading, justify="right" if heading else "left")
+    for heading in ("NEES (3)", "NIS (6)", "failed"):
+        table.add_column(heading, justify="right")
+    for name, row in summary["filters"].items():
+        consistency = [_number(row["nees"], 2), _number(row["nis"], 2), str(row["failed_runs"])]
+        table.add_row(name, *_five(row), *consistency)
+    table.add_row("bound, stamped", *_five(summary["bound"]["stamped"]), style="dim")
+    if settings.paper:
+        for name in ("ekf", "l2linf"):
+            table.add_row(f"{settings.paper.source}: {name}", *_five(summary["paper"][name]), style="cyan")
+    for name, score in scores.items():
+        if score.failures:
+            told = ", ".join(f"run {i} {reason}" for i, reason in score.failures.items())
+            table.add_row(f"failed {name}: {told}", style="red")
+    return table
+
+
+def _five(row: dict) -> list[str]:
+    digits = {"roll_arcsec": 1, "pitch_arcsec": 1, "heading_arcmin": 2, "v_east_mps": 3, "v_north_mps": 3}
+    return [_number(row[key], n) for key, n in digits.items()]
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+if __name__ == "__main__":
+    main()

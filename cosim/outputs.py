@@ -1,0 +1,175 @@
+"""The files that a run leaves: `summary.json`, `manifest.json`, `estimates.parquet`, `flight.parquet`."""
+
+import json
+import math
+import os
+import platform
+from contextlib import AbstractContextManager
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ..aircraft.flight import Flight
+from ..align.consistency import mean_band, rms_interval
+from ..align.estimate import Array, Estimate, FixOutcome
+from ..sins import attitude
+from ..sins.units import DEG, DEG_PER_HOUR, MICRO_G, MILLISECOND
+from .run import Run
+from .scenario import Scenario
+from .score import (
+    COLUMNS,
+    HEADING_LIMIT_ARCMIN,
+    LEVEL_LIMIT_ARCSEC,
+    FilterScore,
+    errors_against,
+    standard_deviations,
+)
+
+_PACKAGES = ("fleetalign", "jsbsim", "numba", "numpy", "pyarrow", "rerun-sdk", "scipy")
+_RUNS_PER_ROW_GROUP = 50
+
+
+def summarize(
+    name: str, scenario: Scenario, seed: int, flight: Flight, scores: dict[str, FilterScore], bound: Array
+) -> dict[str, Any]:
+    """Content of `summary.json`; ``bound``, shape (m, 5), as `score.standard_deviations` gives it."""
+    summary: dict[str, Any] = {
+        "scenario": name,
+        "seed": seed,
+        "runs": next(iter(scores.values())).runs,
+        "flight": flight.summary,
+        "filters": {name: _summarize_filter(score) for name, score in scores.items()},
+        "bound": {"stamped": _named(bound[-1])},
+    }
+    if scenario.paper:
+        summary["paper"] = scenario.paper.model_dump(include={"ekf", "l2linf"})
+    return summary
+
+
+def _summarize_filter(score: FilterScore) -> dict[str, Any]:
+    final = score.rms[-1]
+    surviving = int(np.count_nonzero(np.isfinite(score.errors[:, -1, 0])))
+    interval = rms_interval(final, max(surviving, 1))
+    return {
+        **_named(final),
+        "ci95": {column: _plain(pair) for column, pair in zip(COLUMNS, interval, strict=True)},
+        "window": _named(score.window_rms),
+        "level_below_60_arcsec_s": score.time_below(slice(0, 2), LEVEL_LIMIT_ARCSEC),
+        "heading_below_5_arcmin_s": score.time_below(slice(2, 3), HEADING_LIMIT_ARCMIN),
+        "nees": _plain(score.mean_nees[-1]),
+        "nees_band95": mean_band(3, max(surviving, 1)),
+        "nis": _plain(score.mean_nis),
+        "nis_band95": mean_band(6, max(int(score.fused.sum()), 1)),
+        "fixes": {outcome.name.lower(): score.fix_outcomes[outcome] for outcome in FixOutcome},
+        "failed_runs": len(score.failures),
+        "failures": {str(run_id): reason for run_id, reason in score.failures.items()},
+    }
+
+
+def manifest(name: str, scenario: Scenario, seed: int, runs: int, command: str) -> dict[str, Any]:
+    """Content of `manifest.json`: all that is needed to do a run again."""
+    return {
+        "scenario": name,
+        "scenario_sha256": scenario.digest,
+        "seed": seed,
+        "runs": runs,
+        "command": command,
+        "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "versions": {package: metadata.version(package) for package in _PACKAGES},
+        "content": scenario.model_dump(mode="json"),
+    }
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a JSON file, whole or not at all."""
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", "utf-8")
+    os.replace(partial, path)
+
+
+def write_flight(path: Path, flight: Flight) -> None:
+    """Write a flight's truth and ideal increments as Parquet."""
+    euler = attitude.to_euler(flight.q_nb) / DEG
+    columns = {"time_s": flight.time, "lat_deg": flight.lla[:, 0] / DEG, "lon_deg": flight.lla[:, 1] / DEG}
+    columns["height_m"] = flight.lla[:, 2]
+    columns |= _columns(("v_north_mps", "v_east_mps", "v_down_mps"), flight.v_n)
+    columns |= _columns(("roll_deg", "pitch_deg", "heading_deg"), euler)
+    columns |= _columns(("dtheta_x_rad", "dtheta_y_rad", "dtheta_z_rad"), flight.dtheta_b)
+    columns |= _columns(("dv_x_mps", "dv_y_mps", "dv_z_mps"), flight.dv_b)
+    partial = path.with_name(path.name + ".partial")
+    pq.write_table(pa.table(columns), partial, compression="zstd")
+    os.replace(partial, path)
+
+
+class EstimatesWriter(AbstractContextManager["EstimatesWriter"]):
+    """Streams the estimates of run after run into one Parquet file, which appears when it is complete."""
+
+    def __init__(self, path: Path, truth: Flight, vibration_mps: float) -> None:
+        self._path, self._partial = path, path.with_name(path.name + ".partial")
+        self._truth, self._vibration_mps = truth, vibration_mps
+        self._tables: list[pa.Table] = []
+        self._writer: pq.ParquetWriter | None = None
+
+    def add(self, run: Run) -> None:
+        """Append all estimates of one run."""
+        for name, estimate in run.estimates.items():
+            self._tables.append(self._table(run.run_id, name, estimate))
+        if len(self._tables) >= _RUNS_PER_ROW_GROUP * len(run.estimates):
+            self._flush()
+
+    def _table(self, run_id: int, name: str, estimate: Estimate) -> pa.Table:
+        m = len(estimate.time)
+        columns: dict[str, Any] = {
+            "run": np.full(m, run_id, np.int32),
+            "filter": pa.DictionaryArray.from_arrays(np.zeros(m, np.int8), [name]).cast(pa.string()),
+            "time_s": estimate.time,
+            "lat_deg": estimate.lla[:, 0] / DEG,
+            "lon_deg": estimate.lla[:, 1] / DEG,
+            "height_m": estimate.lla[:, 2],
+        }
+        columns |= _columns(("v_north_mps", "v_east_mps", "v_down_mps"), estimate.v_n)
+        columns |= _columns(("roll_deg", "pitch_deg", "heading_deg"), attitude.to_euler(estimate.q_nb) / DEG)
+        columns |= _columns([f"error_{c}" for c in COLUMNS], errors_against(self._truth, estimate))
+        columns |= _columns(
+            [f"sd_{c}" for c in COLUMNS], standard_deviations(self._truth, estimate, self._vibration_mps)
+        )
+        columns |= _columns([f"accel_bias_{a}_ug" for a in "xyz"], estimate.accel_bias / MICRO_G)
+        columns |= _columns([f"gyro_bias_{a}_deg_h" for a in "xyz"], estimate.gyro_bias / DEG_PER_HOUR)
+        columns["delay_ms"] = estimate.delay / MILLISECOND
+        return pa.table({key: pa.array(value, from_pandas=True) for key, value in columns.items()})
+
+    def _flush(self) -> None:
+        if self._tables:
+            table = pa.concat_tables(self._tables)
+            if self._writer is None:
+                self._writer = pq.ParquetWriter(self._partial, table.schema, compression="zstd")
+            self._writer.write_table(table)
+            self._tables.clear()
+
+    def __exit__(self, *exception: object) -> None:
+        self._flush()
+        if self._writer is not None:
+            self._writer.close()
+            os.replace(self._partial, self._path)
+
+
+def _columns(names: Any, values: Array) -> dict[str, Array]:
+    return dict(zip(names, values.T, strict=True))
+
+
+def _plain(value: Any) -> Any:
+    """Numbers that JSON can hold: NaN and infinity become null."""
+    if isinstance(value, np.ndarray | list | tuple):
+        return [_plain(v) for v in value]
+    return float(value) if math.isfinite(value) else None
+
+
+def _named(five: Array) -> dict[str, float | None]:
+    return {column: _plain(value) for column, value in zip(COLUMNS, five, strict=True)}

@@ -1,0 +1,127 @@
+"""Many runs of a scenario: one flight; each run has its own sensor errors and fixes, seen by all filters."""
+
+import os
+import zlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from ..aircraft.flight import Flight
+from ..align.bound import stamped_bound
+from ..align.estimate import Array, Estimate
+from ..align.filters import FILTERS, align
+from ..network.fixes import Fixes
+from ..network.source import draw_fixes
+from ..sins import attitude
+from ..sins.imu import Imu, simulate_imu
+from ..sins.units import DEG
+from .scenario import CoarseAttitude, Scenario, ScenarioError
+
+Progress = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: what its filters were given, and what they made of it."""
+
+    run_id: int
+    imu: Imu
+    fixes: Fixes
+    q_nb_coarse: Array
+    estimates: dict[str, Estimate]
+
+
+def generator(seed: int, run_id: int, source: str) -> np.random.Generator:
+    """The random numbers of one source in one run: they depend on these three alone."""
+    name = zlib.crc32(source.encode())
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(run_id, name)))
+
+
+def alignment_window(scenario: Scenario, flight: Flight) -> Flight:
+    """The part of the flight in which to align. Raises `ScenarioError` if the flight does not hold it."""
+    alignment = scenario.alignment
+    try:
+        start = alignment.start
+        start_s = flight.phase(start).start_s if isinstance(start, str) else start
+    except KeyError as error:
+        raise ScenarioError(f"alignment.start: {error.args[0]}") from error
+    end_s = start_s + alignment.duration_s
+    if start_s < flight.time[0] or end_s > flight.time[-1] + 0.5 * flight.dt:
+        raise ScenarioError(
+            f"alignment: {start_s:.2f} to {end_s:.2f} s is not inside the flight,"
+            f" {flight.time[0]:.2f} to {flight.time[-1]:.2f} s"
+        )
+    return flight.window(start_s, end_s)
+
+
+def simulate(scenario: Scenario, window: Flight, run_id: int, seed: int) -> Run:
+    """One run over the alignment window."""
+    imu = simulate_imu(
+        window.time, window.dtheta_b, window.dv_b, scenario.imu, generator(seed, run_id, "imu")
+    )
+    fixes = draw_fixes(
+        window, window.time[0], window.time[-1], scenario.fixes, generator(seed, run_id, "fixes")
+    )
+    rng = generator(seed, run_id, "coarse attitude")
+    q_nb_coarse = coarse_attitude(window.q_nb[0], scenario.alignment.coarse, rng)
+    estimates = {
+        name: align(
+            imu.time,
+            imu.dtheta_b,
+            imu.dv_b,
+            q_nb_coarse,
+            fixes,
+            FILTERS[name],
+            scenario.alignment.settings,
+            scenario.imu,
+            scenario.alignment.gravity_model(window.gravity),
+        )
+        for name in scenario.alignment.filters
+    }
+    return Run(run_id, imu, fixes, q_nb_coarse, estimates)
+
+
+def coarse_attitude(q_nb: Array, coarse: CoarseAttitude, rng: np.random.Generator) -> Array:
+    """The attitude (4,) that alignment starts from: the true one with the coarse errors."""
+    signs = rng.choice([-1.0, 1.0], 3) if coarse.signs == "random" else np.ones(3)
+    errors = np.array([coarse.roll_error_deg, coarse.pitch_error_deg, coarse.heading_error_deg]) * DEG
+    return attitude.from_euler(*(attitude.to_euler(q_nb) + signs * errors))
+
+
+def simulate_all(
+    scenario: Scenario, window: Flight, runs: int, seed: int, progress: Progress | None = None
+) -> Iterator[Run]:
+    """Runs 0 to ``runs - 1`` in order, worked on by all cores; what a run yields depends on its id alone."""
+    workers = os.cpu_count() or 1
+    with ThreadPoolExecutor(workers) as pool:
+        ids = iter(range(runs))
+        # A few runs in flight at a time, so that memory does not grow with their number.
+        pending = [pool.submit(simulate, scenario, window, i, seed) for i in islice(ids, 4 * workers)]
+        done = 0
+        while pending:
+            yield pending.pop(0).result()
+            done += 1
+            for i in islice(ids, 1):
+                pending.append(pool.submit(simulate, scenario, window, i, seed))
+            if progress:
+                progress(done, runs)
+
+
+def bound_of(scenario: Scenario, window: Flight) -> Estimate:
+    """Posterior Cramer-Rao bound with stamps known, for fixes as the scenario's source sends them."""
+    fixes = draw_fixes(window, window.time[0], window.time[-1], scenario.fixes, generator(0, 0, "fixes"))
+    lla, v_n, _ = window.at(fixes.t_valid)
+    return stamped_bound(
+        window.time,
+        window.dtheta_b,
+        window.dv_b,
+        window.q_nb[0],
+        fixes,
+        (lla, v_n),
+        scenario.alignment.settings,
+        scenario.imu,
+        window.gravity,
+    )

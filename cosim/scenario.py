@@ -1,0 +1,226 @@
+"""Scenario files: a schema, and mistakes told in one line each."""
+
+import hashlib
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, ValidationError, field_validator
+
+from ..aircraft.mission import FlightPlan
+from ..align.filters import FILTERS, FilterSettings
+from ..network.source import AnyFixSource, FixSource
+from ..sins.earth import GravityModel
+from ..sins.imu import ImuErrors
+from ..sins.settings import Settings
+
+SCENARIO_FOLDER = resources.files("fleetalign.scenarios")
+UNITS = {
+    "_deg": "deg",
+    "_deg_h": "deg/h",
+    "_deg_sqrt_h": "deg/sqrt(h)",
+    "_deg_h_g": "deg/h/g",
+    "_arcsec": "arcsec",
+    "_arcmin": "arcmin",
+    "_ug": "ug",
+    "_ug_sqrt_hz": "ug/sqrt(Hz)",
+    "_ppm": "ppm",
+    "_mps": "m/s",
+    "_mps2": "m/s^2",
+    "_m": "m",
+    "_s": "s",
+    "_ms": "ms",
+    "_hz": "Hz",
+}
+"""What the endings of field names stand for; the longest that fits counts."""
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be used; one line for each mistake."""
+
+
+class CoarseAttitude(Settings):
+    """Errors of the attitude that alignment starts from (Gao et al., Table 1)."""
+
+    roll_error_deg: float = Field(default=1.0, ge=-30, le=30)
+    pitch_error_deg: float = Field(default=1.0, ge=-30, le=30)
+    heading_error_deg: float = Field(default=10.0, ge=-60, le=60)
+    signs: Literal["random", "fixed"] = "random"
+    """Whether each run draws the three signs."""
+
+
+class AlignmentSettings(Settings):
+    """When to align, from what, and by which filters."""
+
+    start: str | float = "s_maneuver"
+    """Name of the phase at whose start alignment begins, or seconds from brake release."""
+    duration_s: float = Field(default=40.0, ge=1, le=3600)
+    coarse: CoarseAttitude = CoarseAttitude()
+    gravity: Literal["flight", "j2", "somigliana"] = "flight"
+    """Gravity model of the navigator; ``flight`` is the one that the aircraft flew in."""
+    filters: tuple[str, ...] = tuple(FILTERS)
+    settings: FilterSettings = FilterSettings()
+
+    @field_validator("filters")
+    @classmethod
+    def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            if name not in FILTERS:
+                raise ValueError(f"no filter {name!r}; known: {', '.join(FILTERS)}")
+        if not names:
+            raise ValueError(f"at least one of: {', '.join(FILTERS)}")
+        return tuple(dict.fromkeys(names))
+
+    def gravity_model(self, flown: GravityModel) -> GravityModel:
+        """The navigator's gravity model, given the one that was flown in."""
+        return flown if self.gravity == "flight" else GravityModel[self.gravity.upper()]
+
+
+class PaperRow(Settings):
+    """One line of a published table."""
+
+    roll_arcsec: float = Field(ge=0)
+    pitch_arcsec: float = Field(ge=0)
+    heading_arcmin: float = Field(ge=0)
+    v_east_mps: float = Field(ge=0)
+    v_north_mps: float = Field(ge=0)
+
+
+class Paper(Settings):
+    """A published table to stand beside ours, and what can be said of the two."""
+
+    source: str
+    remarks: tuple[str, ...] = ()
+    ekf: PaperRow
+    l2linf: PaperRow
+
+
+class Scenario(Settings):
+    """All that a co-simulation depends on, besides the number of its runs and their seed."""
+
+    title: str
+    source: str = ""
+    runs: int = Field(default=100, ge=1, le=1_000_000)
+    seed: int = Field(default=1, ge=0, le=2**63 - 1)
+    flight: FlightPlan = FlightPlan()
+    imu: ImuErrors = ImuErrors()
+    fixes: AnyFixSource = FixSource()
+    alignment: AlignmentSettings = AlignmentSettings()
+    paper: Paper | None = None
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the whole content, defaults included."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
+
+
+def scenario_names() -> list[str]:
+    """Names of the bundled scenarios."""
+    return sorted(f.name.removesuffix(".toml") for f in SCENARIO_FOLDER.iterdir() if f.name.endswith(".toml"))
+
+
+def load_scenario(name_or_path: str) -> tuple[str, Scenario]:
+    """Name and content of a bundled scenario or of a TOML file.
+
+    Raises `ScenarioError`, with one line for each mistake: file, field, value, unit, what is allowed.
+    """
+    if name_or_path in scenario_names():
+        name, text = name_or_path, SCENARIO_FOLDER.joinpath(name_or_path + ".toml").read_text("utf-8")
+    else:
+        path = Path(name_or_path)
+        if path.suffix != ".toml" and not path.exists():
+            known = ", ".join(scenario_names())
+            raise ScenarioError(f"{name_or_path}: neither a bundled scenario ({known}) nor a .toml file")
+        name = path.stem
+        try:
+            text = path.read_text("utf-8")
+        except OSError as error:
+            raise ScenarioError(f"{name_or_path}: cannot be read: {error.strerror}") from error
+        except UnicodeDecodeError as error:
+            raise ScenarioError(f"{name_or_path}: not UTF-8 text, at byte {error.start}") from error
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"{name_or_path}: not TOML: {error}") from error
+    return name, _validated(name_or_path, content)
+
+
+def replaced(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
+    """The scenario with other values for fields given by their dotted names, e.g. ``"imu.vibration_mps"``.
+
+    Raises `ScenarioError` like `load_scenario`.
+    """
+    content = scenario.model_dump(mode="json")
+    for name, value in changes.items():
+        *path, last = name.split(".")
+        table = content
+        for part in path:
+            table = table.get(part)
+            if not isinstance(table, dict):
+                raise ScenarioError(f"{name}: unknown field")
+        table[last] = value
+    return _validated("changed scenario", content)
+
+
+def _validated(file: str, content: dict[str, Any]) -> Scenario:
+    try:
+        return Scenario.model_validate(content)
+    except ValidationError as error:
+        lines = [_told(file, mistake) for mistake in error.errors(include_url=False)]
+        raise ScenarioError("\n".join(lines)) from error
+
+
+def _told(file: str, mistake: Any) -> str:
+    """One line for one of pydantic's errors: file, field, value, unit, what is allowed."""
+    parts, allowed = _declared(mistake["loc"])
+    field = ".".join(parts) or "scenario"
+    value, kind = mistake["input"], mistake["type"]
+    if kind in ("missing", "extra_forbidden"):
+        return f"{file}: {field}: {'missing' if kind == 'missing' else 'unknown field'}"
+    unit = _unit(field)
+    shown = "a table" if isinstance(value, dict) else f"{value!r} {unit}".rstrip()
+    told = mistake["msg"].removeprefix("Value error, ")
+    if allowed:
+        told = f"allowed is {allowed} {unit}".rstrip()
+    return f"{file}: {field} = {shown}: {told}"
+
+
+def _declared(location: tuple[str | int, ...]) -> tuple[list[str], str]:
+    """Field names of a location in the schema (tags of alternatives dropped), and the range it declares."""
+    schema = Scenario.model_json_schema()
+    candidates, parts = [schema], []
+    for part in location:
+        nested = [p[part] for c in candidates for p in _properties(c, schema) if part in p]
+        # What is not a property is the tag of an alternative, an index, or unknown.
+        candidates = nested or candidates
+        if nested or part == location[-1] or isinstance(part, int):
+            parts.append(str(part))
+    lower, upper = "", ""
+    for candidate in candidates:
+        if "minimum" in candidate or "exclusiveMinimum" in candidate:
+            closed = "minimum" in candidate
+            lower = f"{'[' if closed else '('}{candidate['minimum' if closed else 'exclusiveMinimum']:g}"
+        if "maximum" in candidate or "exclusiveMaximum" in candidate:
+            closed = "maximum" in candidate
+            upper = f"{candidate['maximum' if closed else 'exclusiveMaximum']:g}{']' if closed else ')'}"
+    if not (lower or upper):
+        return parts, ""
+    return parts, f"{lower or '(-inf'}, {upper or 'inf)'}"
+
+
+def _properties(candidate: dict[str, Any], schema: dict[str, Any]) -> list[dict[str, Any]]:
+    """Properties of a part of a JSON schema, through references and alternatives."""
+    if "$ref" in candidate:
+        return _properties(schema["$defs"][candidate["$ref"].rsplit("/", 1)[1]], schema)
+    found = [candidate["properties"]] if "properties" in candidate else []
+    for alternatives in ("anyOf", "oneOf", "allOf"):
+        for alternative in candidate.get(alternatives, []):
+            found += _properties(alternative, schema)
+    return found
+
+
+def _unit(field: str) -> str:
+    """Unit of a field, from the ending of its name."""
+    endings = [ending for ending in UNITS if field.endswith(ending)]
+    return UNITS[max(endings, key=len)] if endings else ""

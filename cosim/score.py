@@ -1,0 +1,182 @@
+"""Errors against the truth, over all runs of a scenario, in the reader's units."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..aircraft.flight import Flight
+from ..align.consistency import nees
+from ..align.estimate import Array, Estimate, FixOutcome, RunOutcome
+from ..sins import attitude, earth
+from ..sins.units import ARCMIN, ARCSEC
+from .run import Run
+
+COLUMNS = ("roll_arcsec", "pitch_arcsec", "heading_arcmin", "v_east_mps", "v_north_mps")
+"""The five figures of Gao et al., Table 3, with their units."""
+_PER_UNIT = np.array([1 / ARCSEC, 1 / ARCSEC, 1 / ARCMIN, 1.0, 1.0])
+
+LEVEL_LIMIT_ARCSEC = 60.0
+HEADING_LIMIT_ARCMIN = 5.0
+
+
+def errors_against(truth: Flight, estimate: Estimate) -> Array:
+    """The five errors, estimate minus truth, shape (m, 5), in the units of `COLUMNS`."""
+    rows = np.searchsorted(truth.time, estimate.time - 0.5 * truth.dt)
+    attitude_error = attitude.attitude_error(estimate.q_nb, truth.q_nb[rows])
+    v_error = estimate.v_n - truth.v_n[rows]
+    return np.hstack([attitude_error, v_error[:, [1]], v_error[:, [0]]]) * _PER_UNIT
+
+
+def standard_deviations(truth: Flight, estimate: Estimate, vibration_mps: float) -> Array:
+    """The filter's own standard deviations of the five, shape (m, 5), in the units of `COLUMNS`.
+
+    ``vibration_mps`` is the jitter of the measured velocity about the mean motion that truth means: it is in
+    the velocity that a navigator puts out, and no filter takes it away.
+    """
+    rows = np.searchsorted(truth.time, estimate.time - 0.5 * truth.dt)
+    T = attitude.attitude_error_matrix(truth.q_nb[rows])
+    attitude_sd = np.sqrt(np.einsum("mij,mjk,mik->mi", T, estimate.misalignment_cov, T))
+    v_sd = np.hypot(estimate.sd[:, [4, 3]], vibration_mps)
+    return np.hstack([attitude_sd, v_sd]) * _PER_UNIT
+
+
+@dataclass(frozen=True)
+class FilterScore:
+    """One filter over all runs.
+
+    Attributes
+    ----------
+    time : (m,) s from the start of the alignment.
+    errors : (runs, m, 5), units of `COLUMNS`; NaN before the first fix and in runs that did not last.
+    position_errors : (runs, m, 3) NED, m.
+    nees : (runs, m) of the misalignment, three degrees of freedom.
+    nis : (runs,) mean over the fused fixes of a run, six degrees of freedom.
+    fused : (runs,) number of fused fixes.
+    delay : (runs, m) estimated mean delay, s.
+    fix_outcomes : how many fixes ended in which way, over all runs.
+    failures : runs that failed, by id, with the reason.
+    """
+
+    name: str
+    time: Array
+    errors: Array
+    position_errors: Array
+    nees: Array
+    nis: Array
+    fused: NDArray[np.int64]
+    delay: Array
+    fix_outcomes: dict[FixOutcome, int]
+    failures: dict[int, str]
+
+    @property
+    def runs(self) -> int:
+        """Number of runs, failed ones included."""
+        return len(self.errors)
+
+    @property
+    def rms(self) -> Array:
+        """RMS over runs, shape (m, 5); runs that did not last have no error to count, see `failures`."""
+        return _rms(self.errors, axis=0)
+
+    @property
+    def window_rms(self) -> Array:
+        """RMS over runs and over the last half of the alignment, shape (5,)."""
+        return _rms(self.errors[:, self.time > 0.5 * self.time[-1]], axis=(0, 1))
+
+    @property
+    def mean_nis(self) -> float:
+        """Mean over all fused fixes of all runs."""
+        counted = self.fused > 0
+        return float(np.average(self.nis[counted], weights=self.fused[counted])) if counted.any() else np.nan
+
+    @property
+    def mean_nees(self) -> Array:
+        """Mean over runs, shape (m,)."""
+        with np.errstate(invalid="ignore"):
+            count = np.sum(np.isfinite(self.nees), axis=0)
+            return np.where(count > 0, np.nansum(self.nees, axis=0) / np.maximum(count, 1), np.nan)
+
+    def time_below(self, columns: slice, limit: float) -> float | None:
+        """Time, s from the start, after which the greatest RMS of these columns stays below a limit."""
+        over = np.flatnonzero(~(self.rms[:, columns].max(axis=1) < limit))
+        if len(over) == 0:
+            return float(self.time[0])
+        return float(self.time[over[-1] + 1]) if over[-1] + 1 < len(self.time) else None
+
+
+@dataclass
+class Scorer:
+    """Gathers runs one by one and forgets their histories, so that memory holds the errors alone."""
+
+    truth: Flight
+    filters: tuple[str, ...]
+    _rows: dict[str, list[tuple[Any, ...]]] = field(default_factory=dict)
+    _outcomes: dict[str, dict[FixOutcome, int]] = field(default_factory=dict)
+    _failures: dict[str, dict[int, str]] = field(default_factory=dict)
+    _time: Array = field(default_factory=lambda: np.empty(0))
+
+    def add(self, run: Run) -> None:
+        """Score one run; runs must come in order of their ids, from 0."""
+        for name in self.filters:
+            estimate = run.estimates[name]
+            rows = np.searchsorted(self.truth.time, estimate.time - 0.5 * self.truth.dt)
+            self._time = estimate.time
+            phi = attitude.misalignment(estimate.q_nb, self.truth.q_nb[rows])
+            covariance = np.where(np.isfinite(phi)[..., None], estimate.misalignment_cov, np.eye(3))
+            misalignment_nees = nees(phi, covariance)
+            fused = estimate.fused
+            nis = float(np.mean(estimate.nis[fused])) if fused.any() else np.nan
+            self._rows.setdefault(name, []).append(
+                (
+                    errors_against(self.truth, estimate),
+                    earth.displacement_n(estimate.lla, self.truth.lla[rows]),
+                    misalignment_nees,
+                    np.array(nis),
+                    np.array(np.count_nonzero(fused)),
+                    estimate.delay,
+                )
+            )
+            outcomes = self._outcomes.setdefault(name, dict.fromkeys(FixOutcome, 0))
+            for outcome in FixOutcome:
+                outcomes[outcome] += estimate.count(outcome)
+            reason = self._failure(estimate, run, phi)
+            if reason:
+                self._failures.setdefault(name, {})[run.run_id] = reason
+
+    def _failure(self, estimate: Estimate, run: Run, phi: Array) -> str | None:
+        """Why the run failed, or None: it did not last, or ended further off than it began."""
+        if estimate.outcome is not RunOutcome.ALIGNED:
+            return estimate.outcome.name.lower()
+        at_start = np.linalg.norm(attitude.misalignment(run.q_nb_coarse, self.truth.q_nb[0]))
+        return "diverged" if not np.linalg.norm(phi[-1]) < max(at_start, 1e-2) else None
+
+    def scores(self) -> dict[str, FilterScore]:
+        """Scores by filter name."""
+        return {name: self._score(name) for name in self.filters}
+
+    def _score(self, name: str) -> FilterScore:
+        errors, position_errors, misalignment_nees, nis, fused, delay = map(
+            np.stack, zip(*self._rows[name], strict=True)
+        )
+        return FilterScore(
+            name=name,
+            time=self._time - self.truth.time[0],
+            errors=errors,
+            position_errors=position_errors,
+            nees=misalignment_nees,
+            nis=nis,
+            fused=fused,
+            delay=delay,
+            fix_outcomes=self._outcomes[name],
+            failures=self._failures.get(name, {}),
+        )
+
+
+def _rms(x: Array, axis: int | tuple[int, ...]) -> Array:
+    """RMS of what is finite; NaN where nothing is."""
+    finite = np.isfinite(x)
+    count = finite.sum(axis=axis)
+    total = np.sum(np.where(finite, x, 0.0) ** 2, axis=axis)
+    return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
