@@ -56,6 +56,8 @@ class Gains(Settings):
     """Rudder per turn rate ``g sin(bank) / V``, rad/s: it works against a yaw damper without washout."""
     runway_steer: float = Field(ge=-20, le=20)
     """Nose wheel and rudder per heading error, rad, on the runway."""
+    runway_steer_integral_per_s: float = Field(ge=0, le=20)
+    """Nose wheel and rudder rate per heading error, rad, on the runway: it holds against a crosswind."""
     runway_steer_rate_s: float = Field(ge=-20, le=20)
     """Nose wheel and rudder per yaw rate, rad/s, on the runway."""
     throttle_s_per_m: float = Field(gt=0, le=1)

@@ -31,12 +31,12 @@ class Envelope:
         self.plan = plan
         self.limits = airframe.limits
         self.heading = radians(plan.start.heading_deg)
-        allowed = MAX_BANK_SHARE * airframe.limits.bank_deg
-        if plan.s_maneuver.bank_deg > allowed:
+        asked, allowed = plan.s_maneuver.bank_deg, MAX_BANK_SHARE * airframe.limits.bank_deg
+        if asked > allowed:
             raise FlightError(
                 "s_maneuver",
                 plan.s_start_s,
-                f"{plan.s_maneuver.lateral_acceleration_mps2:g} m/s^2 needs {plan.s_maneuver.bank_deg:.1f} deg"
+                f"{plan.s_maneuver.lateral_acceleration_mps2:g} m/s^2 needs {asked:.1f} deg"
                 f" of bank, guidance allows the {airframe.name} {allowed:.1f} deg",
             )
 
@@ -52,7 +52,7 @@ class Envelope:
             return "the state is no longer finite"
         if elapsed > phase.limit_s:
             return f"not finished within {phase.limit_s:g} s"
-        if phase.name == "takeoff":
+        if phase.name in ("takeoff", "initial_climb"):
             return self._takeoff_fault(s)
         if t >= self.plan.s_start_s and phase.name in ("climb", "capture"):
             return (

@@ -103,6 +103,7 @@ class Guidance:
         self.bank = 0.0
         self.elevator_integral = 0.0
         self.aileron_integral = 0.0
+        self.steer_integral = 0.0
         self.throttle_integral = 0.0
         self.throttle = 0.0
 
@@ -176,8 +177,11 @@ class Guidance:
         gains = self.gains
         if target.on_runway:
             error = (target.heading - s.heading + pi) % (2 * pi) - pi
-            steer = gains.runway_steer * error - gains.runway_steer_rate_s * s.r
-            return clipped(-steer, 1.0), clipped(steer / (1 + 0.1 * s.airspeed), 1.0)
+            self.steer_integral = clipped(
+                self.steer_integral + gains.runway_steer_integral_per_s * error * self.dt, INTEGRAL_LIMIT
+            )
+            steer = gains.runway_steer * error - gains.runway_steer_rate_s * s.r + self.steer_integral
+            return clipped(-steer, 1.0), clipped(steer, 1.0)
         turn_rate = G / max(s.airspeed, MIN_SPEED) * sin(s.roll)
         return clipped(gains.turn_rudder_s * turn_rate, 1.0), 0.0
 

@@ -9,18 +9,20 @@ from .airframe import Airframe
 from .guidance import Sensed, Target
 from .mission import GUIDANCE_RATE_HZ, FlightPlan, SManeuver
 
-CLEAR_HEIGHT = 3.0
-"""The wheels are clear of the runway for good, m."""
+GEAR_UP_HEIGHT = 10.0
+"""Of the wheels over the runway, m."""
 CAPTURE_ALTITUDE = 30.0
 """The climb ends so far below the altitude wanted, m."""
-SETTLED_ALTITUDE, SETTLED_SPEED, SETTLED_CLIMB_RATE = 0.5, 0.25, 0.1
-"""Level flight has settled when the means (over `MEAN_TIME`) of the errors are below these: m, m/s, m/s."""
+SETTLED = 0.5, 0.25, 0.1
+"""Level flight has settled when the means of the errors of altitude, speed and climb rate are below these;
+m, m/s, m/s."""
 MEAN_TIME = 10.0
+"""Time constant of those means, s."""
 
 
 @dataclass
 class Takeoff:
-    """Roll from rest with full throttle, rotation, until the wheels are clear. Gear down."""
+    """Roll from rest with full throttle and rotation, until no wheel is on the ground."""
 
     plan: FlightPlan
     airframe: Airframe
@@ -30,12 +32,30 @@ class Takeoff:
 
     def target(self, t: float, s: Sensed) -> Target:
         heading = radians(self.plan.start.heading_deg)
-        rotate = s.airspeed >= self.airframe.rotation_speed_mps or not s.on_wheels
+        rotate = s.airspeed >= self.airframe.rotation_speed_mps
         pitch = radians(self.airframe.rotation_pitch_deg) if rotate else None
+        return Target(self.plan.speed_mps, heading, pitch=pitch, bank=0.0, on_runway=True)
+
+    def finished(self, t: float, s: Sensed) -> bool:
+        return not s.on_wheels
+
+
+@dataclass
+class InitialClimb:
+    """The pitch of the rotation is held, gear down, until clear of the ground."""
+
+    plan: FlightPlan
+    airframe: Airframe
+    name = "initial_climb"
+    limit_s = 30.0
+    gear = 1.0
+
+    def target(self, t: float, s: Sensed) -> Target:
+        heading, pitch = radians(self.plan.start.heading_deg), radians(self.airframe.rotation_pitch_deg)
         return Target(self.plan.speed_mps, heading, pitch=pitch, bank=0.0, on_runway=s.on_wheels)
 
     def finished(self, t: float, s: Sensed) -> bool:
-        return not s.on_wheels and s.height > self.airframe.gear_height_m + CLEAR_HEIGHT
+        return s.height > self.airframe.gear_height_m + GEAR_UP_HEIGHT
 
 
 @dataclass
@@ -67,20 +87,16 @@ class Capture(_LevelTarget):
 
     name = "capture"
     limit_s = 300.0
-    mean_altitude: float = CAPTURE_ALTITUDE
-    mean_speed: float = CAPTURE_ALTITUDE
-    mean_climb_rate: float = CAPTURE_ALTITUDE
+    means: tuple[float, ...] = (-CAPTURE_ALTITUDE, CAPTURE_ALTITUDE, CAPTURE_ALTITUDE)
+    """Of the errors of altitude, speed and climb rate; at first far from settled."""
 
     def finished(self, t: float, s: Sensed) -> bool:
         keep = exp(-1 / (GUIDANCE_RATE_HZ * MEAN_TIME))
-        self.mean_altitude += (1 - keep) * (abs(s.altitude - self.plan.altitude_m) - self.mean_altitude)
-        self.mean_speed += (1 - keep) * (abs(s.airspeed - self.plan.speed_mps) - self.mean_speed)
-        self.mean_climb_rate += (1 - keep) * (abs(s.climb_rate) - self.mean_climb_rate)
-        return (
-            self.mean_altitude < SETTLED_ALTITUDE
-            and self.mean_speed < SETTLED_SPEED
-            and self.mean_climb_rate < SETTLED_CLIMB_RATE
+        errors = s.altitude - self.plan.altitude_m, s.airspeed - self.plan.speed_mps, s.climb_rate
+        self.means = tuple(
+            keep * mean + (1 - keep) * error for mean, error in zip(self.means, errors, strict=True)
         )
+        return all(abs(mean) < limit for mean, limit in zip(self.means, SETTLED, strict=True))
 
 
 @dataclass
@@ -128,7 +144,7 @@ class Tail(_LevelTarget):
         return t >= self.plan.end_s
 
 
-MissionPhase = Takeoff | Climb | Capture | Level | SManeuverPhase | Tail
+MissionPhase = Takeoff | InitialClimb | Climb | Capture | Level | SManeuverPhase | Tail
 
 
 def s_bank(maneuver: SManeuver, t: float) -> float:
@@ -142,6 +158,7 @@ def s_bank(maneuver: SManeuver, t: float) -> float:
 def mission_phases(plan: FlightPlan, airframe: Airframe) -> Iterator[MissionPhase]:
     """The phases in their order, new for each flight."""
     yield Takeoff(plan, airframe)
+    yield InitialClimb(plan, airframe)
     yield Climb(plan)
     yield Capture(plan)
     yield Level(plan)

@@ -1,0 +1,141 @@
+"""The flight cache: a plan that was flown before is read instead of flown.
+
+An entry is one npz file. Its key is a hash of everything that determines the flight; inside, a digest over
+every array and the metadata tells a damaged entry from a sound one.
+"""
+
+import hashlib
+import io
+import json
+import os
+import tempfile
+import warnings
+import zipfile
+from pathlib import Path
+
+import jsbsim
+import numpy as np
+import platformdirs
+from pydantic import TypeAdapter, ValidationError
+
+from ..sins import attitude, earth
+from ..sins.earth import GravityModel
+from .airframe import load_airframe
+from .flight import Flight, Phase
+from .mission import FlightPlan
+from .simulator import Progress, fly
+
+FOLDER_VARIABLE = "FLEETALIGN_CACHE"
+"""Environment variable that names another folder for the cache."""
+ARRAYS = {"time": (), "lla": (3,), "v_n": (3,), "q_nb": (4,), "dtheta_b": (3,), "dv_b": (3,)}
+"""Fields of `Flight` that an entry holds, with the shape of a row."""
+_PHASES = TypeAdapter(tuple[Phase, ...])
+
+
+class CacheWarning(UserWarning):
+    """The cache cannot be used; the flight is flown all the same."""
+
+
+class DamagedEntryError(ValueError):
+    """A cache entry that is not what was written."""
+
+
+def cache_folder() -> Path:
+    """``FLEETALIGN_CACHE`` where it is set, else ``flights`` in the user's cache folder for fleetalign."""
+    folder = os.environ.get(FOLDER_VARIABLE)
+    return Path(folder) if folder else platformdirs.user_cache_path("fleetalign") / "flights"
+
+
+def flight_key(plan: FlightPlan) -> str:
+    """Hash of all that determines the flight: plan, airframe, JSBSim and the code that flies.
+
+    Raises ValueError for an unknown airframe.
+    """
+    airframe = load_airframe(plan.airframe)
+    facts = {
+        "plan": plan.model_copy(update={"airframe": plan.airframe.lower()}).model_dump(mode="json"),
+        "airframe": airframe.model_dump(mode="json"),
+        "jsbsim": jsbsim.__version__,
+    }
+    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
+    sources = sorted(Path(__file__).parent.glob("*.py"))
+    for source in [*sources, Path(str(earth.__file__)), Path(str(attitude.__file__))]:
+        digest.update(source.name.encode() + hashlib.sha256(source.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def cached_flight(
+    plan: FlightPlan, use_cache: bool = True, progress: Progress | None = None
+) -> tuple[Flight, bool]:
+    """The plan's flight, and whether it came from the cache.
+
+    A damaged entry is flown again and replaced. Without ``use_cache`` the cache is neither read nor
+    written. A cache that cannot be written is a `CacheWarning`. Raises as `simulator.fly`.
+    """
+    if not use_cache:
+        return fly(plan, progress), False
+    path = cache_folder() / f"{flight_key(plan)}.npz"
+    try:
+        return _decoded(path.read_bytes()), True
+    except (OSError, DamagedEntryError):
+        flight = fly(plan, progress)
+    try:
+        _write(path, _encoded(flight))
+    except OSError as error:
+        warnings.warn(f"the flight is not cached: {error}", CacheWarning, stacklevel=2)
+    return flight, False
+
+
+def _metadata(flight: Flight) -> str:
+    phases = _PHASES.dump_python(flight.phases, mode="json")
+    return json.dumps({"airframe": flight.airframe, "gravity": flight.gravity.name, "phases": phases})
+
+
+def _digest(metadata: str, arrays: dict[str, np.ndarray]) -> str:
+    digest = hashlib.sha256(metadata.encode())
+    for name in ARRAYS:
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def _encoded(flight: Flight) -> bytes:
+    arrays = {name: getattr(flight, name) for name in ARRAYS}
+    metadata = _metadata(flight)
+    buffer = io.BytesIO()
+    np.savez(buffer, metadata=metadata, digest=_digest(metadata, arrays), **arrays)
+    return buffer.getvalue()
+
+
+def _decoded(content: bytes) -> Flight:
+    """The flight of an entry. Raises DamagedEntryError for anything but what `_encoded` wrote."""
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as entry:
+            arrays = {name: entry[name] for name in ARRAYS}
+            metadata, digest = str(entry["metadata"]), str(entry["digest"])
+        if digest != _digest(metadata, arrays):
+            raise DamagedEntryError("the digest does not match")
+        facts = json.loads(metadata)
+        phases = _PHASES.validate_python(facts["phases"])
+        gravity = GravityModel[facts["gravity"]]
+        airframe = facts["airframe"]
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, ValidationError) as error:
+        raise DamagedEntryError(str(error)) from error
+    rows = len(arrays["time"])
+    if any(arrays[name].shape != (rows, *row) for name, row in ARRAYS.items()):
+        raise DamagedEntryError("arrays of unequal length")
+    return Flight(**arrays, phases=phases, airframe=airframe, gravity=gravity)
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Whole or not at all: to a temporary file beside it, then renamed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
