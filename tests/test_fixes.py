@@ -186,6 +186,7 @@ def test_stamps_carry_the_error_of_the_clock():
     [
         ({"position_sd_m": 3.0}, {"lla", "cov"}),
         ({"delay": BernoulliDelay()}, {"t_arrival"}),
+        ({"delay": ConstantDelay()}, {"t_arrival"}),
         ({"stamp_sd_ms": 5.0}, {"t_stamp"}),
         ({"out_of_order_probability": 0.3}, {"t_arrival"}),
         ({"loss_probability": 0.3}, set()),
@@ -404,8 +405,10 @@ def test_concatenated_receptions_are_in_order_of_arrival():
 
 
 def test_packets_that_arrive_together_keep_their_order():
-    fixes = replace(correlated(), t_arrival=np.array([9.0, 5.0, 9.0, 5.0])).sorted_by_arrival()
-    np.testing.assert_array_equal(fixes.t_valid, [1, 3, 0, 2])
+    fixes = draw(end=110.0)
+    together = 200.0 + (fixes.sequence % 3)
+    kept = replace(fixes, t_arrival=together).sorted_by_arrival()
+    np.testing.assert_array_equal(kept.sequence, np.r_[0:101:3, 1:101:3, 2:101:3])
 
 
 @pytest.mark.parametrize(
