@@ -156,3 +156,20 @@ def test_attitude_error_is_computed_minus_true_and_wrapped():
     true = attitude.from_euler(0.1, 0.2, np.pi - 0.01)
     computed = attitude.from_euler(0.13, 0.18, -np.pi + 0.02)
     np.testing.assert_allclose(attitude.attitude_error(computed, true), [0.03, -0.02, 0.03], atol=1e-14)
+
+
+@given(angles, st.floats(-1.4, 1.4), angles, vectors)
+def test_attitude_error_matrix_is_the_derivative_of_the_error(roll, pitch, heading, direction):
+    q_nb, phi = attitude.from_euler(roll, pitch, heading), 1e-5 * direction
+
+    def error(phi):
+        return attitude.attitude_error(attitude.multiply(attitude.from_rotvec(-phi), q_nb), q_nb)
+
+    # A central difference: what is left is the third order in phi, steep towards the zenith.
+    difference = 0.5 * (error(phi) - error(-phi))
+    np.testing.assert_allclose(
+        difference,
+        attitude.attitude_error_matrix(q_nb) @ phi,
+        rtol=0,
+        atol=2e-15 / np.cos(pitch) ** 3 + 1e-14,
+    )

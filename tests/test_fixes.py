@@ -267,6 +267,12 @@ def test_recorded_delays_must_be_delays(tmp_path, value):
         ReplayedDelay(file=file)
 
 
+def test_recorded_delays_must_be_numbers(tmp_path):
+    write_columns({"delay_ms": [True, False]}, tmp_path / "delays.parquet")
+    with pytest.raises(ValidationError, match="column delay_ms: holds bool, not numbers"):
+        ReplayedDelay(file=tmp_path / "delays.parquet")
+
+
 def test_recorded_delays_must_not_be_empty(tmp_path):
     write_columns({"delay_ms": np.zeros(0)}, tmp_path / "delays.csv")
     with pytest.raises(ValidationError, match="no rows"):
@@ -313,6 +319,12 @@ def test_recorded_fixes_are_cut_to_the_interval(tmp_path):
     assert source.delay_sd_s == pytest.approx(0, abs=1e-12)
     replayed = draw_fixes(Circle(), 103.95, 106.05, source, np.random.default_rng(0))
     assert_equal(replayed, fixes[40:61], rtol=1e-14)
+
+
+def test_recorded_fixes_must_not_be_empty(tmp_path):
+    write_fixes(correlated()[:0], tmp_path / "fixes.csv")
+    with pytest.raises(ValidationError, match="no rows"):
+        RecordedFixes(file=tmp_path / "fixes.csv")
 
 
 def test_recorded_fixes_are_sorted_by_arrival(tmp_path):
