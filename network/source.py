@@ -125,7 +125,7 @@ def draw_fixes(
     rngs: dict[str, Generator] = dict(zip(_EFFECTS, rng.spawn(len(_EFFECTS)), strict=True))
     # The small part lets a last fix count that falls on end_s but for rounding.
     k = int(np.floor((end_s - start_s) * settings.rate_hz + 1e-6)) + 1
-    t_valid = start_s + np.arange(k) / settings.rate_hz
+    t_valid = np.minimum(start_s + np.arange(k) / settings.rate_hz, end_s)
     lla, v_n, _ = truth.at(t_valid)
     sd = np.repeat([settings.position_sd_m, settings.velocity_sd_mps], 3)
     noise = sd * rngs["noise"].standard_normal((k, 6))
