@@ -27,7 +27,7 @@ class Takeoff:
     plan: FlightPlan
     airframe: Airframe
     name = "takeoff"
-    limit_s = 120.0
+    limit_s = 90.0
     gear = 1.0
 
     def target(self, t: float, s: Sensed) -> Target:

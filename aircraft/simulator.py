@@ -26,8 +26,6 @@ SETTLING_S = 10.0
 """On the brakes before time zero, so that the gear's springs come to rest."""
 PROGRESS_INTERVAL_S = 0.06
 TURBULENCE_TYPE = {Turbulence.NONE: 0, Turbulence.MILSPEC: 3, Turbulence.TUSTIN: 4}
-ROTATION_INTEGRATOR = 7
-"""JSBSim's number of the exact map of a constant rate onto the attitude (local linearisation)."""
 
 
 class _Model:
@@ -94,7 +92,6 @@ class _Model:
             raise FlightError("preparation", 0.0, "JSBSim refuses the initial conditions")
         self._set(
             {
-                "simulation/integrator/position/rotational": ROTATION_INTEGRATOR,
                 "simulation/randomseed": self.plan.seed,
                 "propulsion/set-running": -1,
                 "atmosphere/wind-north-fps": air.wind_north_mps / FOOT,
