@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import click
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -42,18 +41,17 @@ class InputError(ValueError):
 
 def main() -> None:
     """Entry point: turns mistakes in the input into one line each and status 2."""
-    from ..aircraft.airframe import AirframeError
     from ..aircraft.envelope import FlightError
     from .scenario import ScenarioError
 
     try:
         status = app(standalone_mode=False)
-    except click.ClickException as error:
-        status = _refuse(error.format_message())
-    except (click.exceptions.Abort, KeyboardInterrupt):
+    except typer.TyperException as error:
+        status = _refuse(getattr(error, "format_message", error.__str__)())
+    except (typer.Abort, KeyboardInterrupt):
         error_console.print("stopped")
         status = 1
-    except (InputError, ScenarioError, AirframeError, FlightError) as error:
+    except (InputError, ScenarioError, FlightError) as error:
         status = _refuse(str(error))
     sys.exit(status or 0)
 

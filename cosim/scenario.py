@@ -111,8 +111,14 @@ class Scenario(Settings):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the whole content, defaults included."""
-        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
+        """SHA-256 of the whole content, defaults and files that it names included."""
+        content = hashlib.sha256(self.model_dump_json().encode())
+        delay = getattr(self.fixes, "delay", None)
+        for source in (self.fixes, delay):
+            file = getattr(source, "file", None)
+            if file is not None:
+                content.update(Path(file).read_bytes())
+        return content.hexdigest()
 
 
 def scenario_names() -> list[str]:
@@ -121,18 +127,19 @@ def scenario_names() -> list[str]:
 
 
 def load_scenario(name_or_path: str) -> tuple[str, Scenario]:
-    """Name and content of a bundled scenario or of a TOML file.
+    """Name and content of a bundled scenario or of a TOML file; files it names are beside it.
 
     Raises `ScenarioError`, with one line for each mistake: file, field, value, unit, what is allowed.
     """
     if name_or_path in scenario_names():
-        name, text = name_or_path, SCENARIO_FOLDER.joinpath(name_or_path + ".toml").read_text("utf-8")
+        name, folder = name_or_path, Path()
+        text = SCENARIO_FOLDER.joinpath(name_or_path + ".toml").read_text("utf-8")
     else:
         path = Path(name_or_path)
         if path.suffix != ".toml" and not path.exists():
             known = ", ".join(scenario_names())
             raise ScenarioError(f"{name_or_path}: neither a bundled scenario ({known}) nor a .toml file")
-        name = path.stem
+        name, folder = path.stem, path.parent
         try:
             text = path.read_text("utf-8")
         except OSError as error:
@@ -143,7 +150,7 @@ def load_scenario(name_or_path: str) -> tuple[str, Scenario]:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(f"{name_or_path}: not TOML: {error}") from error
-    return name, _validated(name_or_path, content)
+    return name, _validated(name_or_path, content, folder)
 
 
 def replaced(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
@@ -160,12 +167,12 @@ def replaced(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
             if not isinstance(table, dict):
                 raise ScenarioError(f"{name}: unknown field")
         table[last] = value
-    return _validated("changed scenario", content)
+    return _validated("changed scenario", content, Path())
 
 
-def _validated(file: str, content: dict[str, Any]) -> Scenario:
+def _validated(file: str, content: dict[str, Any], folder: Path) -> Scenario:
     try:
-        return Scenario.model_validate(content)
+        return Scenario.model_validate(content, context={"folder": folder})
     except ValidationError as error:
         lines = [_told(file, mistake) for mistake in error.errors(include_url=False)]
         raise ScenarioError("\n".join(lines)) from error

@@ -33,6 +33,8 @@ SOMIGLIANA_K = 0.00193185265241
 """Somigliana's constant."""
 GRAVITY_RATIO = 0.00344978650684
 """m = w^2 a^2 b / GM of the normal-gravity height formula."""
+PLUMB_LINE_CURVATURE = -2 * 8.08e-9
+"""North gravity at height, for height times sine times cosine of latitude, 1/s^2."""
 STANDARD_GRAVITY = 9.80665
 """The unit g of accelerometer data sheets and load factors, m/s^2."""
 
@@ -43,7 +45,7 @@ class GravityModel(IntEnum):
     J2 = 0
     """Gravitation of a point mass and J2, plus the centrifugal term: what JSBSim flies in."""
     SOMIGLIANA = 1
-    """Normal gravity of the ellipsoid with its height formula, along the ellipsoid's normal."""
+    """Normal gravity of the ellipsoid with its height formula, and the curvature of the plumb line."""
 
 
 @register_jitable
@@ -84,17 +86,17 @@ def gravity_j2(sin_lat, cos_lat, height):
 
 
 @register_jitable
-def gravity_somigliana(sin_lat, height):
+def gravity_somigliana(sin_lat, cos_lat, height):
     """Normal gravity on the ellipsoid (Somigliana) carried to height by a second-order formula.
 
-    Parameters: sine of geodetic latitude; ``height``, m. Returns ``(g_north, g_down)``, m/s^2;
-    ``g_north`` is zero here ([1]_ 4-1 and 4-3).
+    Parameters and returns as `gravity_j2`. Down: [1]_ 4-1 and 4-3; north, the curvature of the plumb
+    line: [2]_ 2.140.
     """
     s2 = sin_lat**2
     surface = GRAVITY_EQUATOR * (1 + SOMIGLIANA_K * s2) / np.sqrt(1 - ECCENTRICITY_SQUARED * s2)
     ratio = height / EQUATORIAL_RADIUS
     down = surface * (1 - 2 * ratio * (1 + FLATTENING + GRAVITY_RATIO - 2 * FLATTENING * s2) + 3 * ratio**2)
-    return 0.0 * down, down
+    return PLUMB_LINE_CURVATURE * height * sin_lat * cos_lat, down
 
 
 @register_jitable
@@ -102,7 +104,7 @@ def gravity_by_sine(model, sin_lat, cos_lat, height):
     """`gravity` for loops that have the sine and the cosine of the latitude at hand."""
     if model == 0:
         return gravity_j2(sin_lat, cos_lat, height)
-    return gravity_somigliana(sin_lat, height)
+    return gravity_somigliana(sin_lat, cos_lat, height)
 
 
 @register_jitable

@@ -37,7 +37,7 @@ def system_matrix(lla: ArrayLike, v_n: ArrayLike, f_n: ArrayLike, C_nb: ArrayLik
 
     Parameters: ``lla`` (3,) rad, rad, m; ``v_n`` (3,) m/s; ``f_n`` (3,) specific force in n, m/s^2;
     ``C_nb`` (3, 3). Exact to first order on a sphere of the local radii; what is neglected is the
-    change of the radii of curvature and of gravity with latitude, below 1e-8 in every entry.
+    change of the radii of curvature and of gravity with latitude, below 1e-7 in every entry.
     """
     lat, _, height = np.asarray(lla, float)
     north, east, down = v = np.asarray(v_n, float)
