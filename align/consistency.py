@@ -1,0 +1,34 @@
+"""Consistency: whether a filter's covariance is that of its errors.
+
+References
+----------
+.. [1] Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and
+       Navigation", section 5.4.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2
+
+Array = NDArray[np.float64]
+
+
+def nees(error: ArrayLike, covariance: ArrayLike) -> Array:
+    """Normalised estimation error squared, shape (...,), of errors (..., d) with covariances (..., d, d)."""
+    error = np.asarray(error, float)
+    solved = np.linalg.solve(np.asarray(covariance, float), error[..., None])[..., 0]
+    return np.sum(error * solved, axis=-1)
+
+
+def mean_band(dimension: int, samples: int, probability: float = 0.95) -> tuple[float, float]:
+    """Bounds that the mean of ``samples`` independent NEES or NIS keeps with ``probability`` ([1]_ 5.4.2)."""
+    tail = (1 - probability) / 2
+    low, high = chi2.ppf([tail, 1 - tail], dimension * samples) / samples
+    return float(low), float(high)
+
+
+def rms_interval(rms: ArrayLike, samples: int, probability: float = 0.95) -> Array:
+    """Confidence interval, shape (..., 2), of an RMS over ``samples`` independent zero-mean errors."""
+    tail = (1 - probability) / 2
+    scale = np.sqrt(samples / chi2.ppf([1 - tail, tail], samples))
+    return np.asarray(rms, float)[..., None] * scale
