@@ -81,13 +81,17 @@ def run(
     from .recording import write_recording
     from .report import write_report
     from .run import alignment_window, bound_of, simulate_all
+    from .scenario import ScenarioError
     from .score import Scorer, standard_deviations
 
     name, settings = _load(scenario, runs, seed, filter_)
     folder = _output_folder(out or Path(f"fleetalign-{name}"))
     silent = quiet or as_json
     flight = _flown(settings, no_cache, silent)
-    window = alignment_window(settings, flight)
+    try:
+        window = alignment_window(settings, flight)
+    except ScenarioError as error:
+        raise ScenarioError(f"{scenario}: {error}") from error
     scorer = Scorer(window, settings.alignment.filters)
     first: Run | None = None
     done = 0
@@ -115,7 +119,15 @@ def run(
     about = manifest(name, settings, settings.seed, done, command)
     write_json(folder / "manifest.json", about)
     with _progress("recording and report", silent) as progress:
-        write_recording(folder / "recording.rrd", settings.title, flight, window, first, bound)
+        write_recording(
+            folder / "recording.rrd",
+            settings.title,
+            flight,
+            window,
+            first,
+            bound,
+            settings.imu.vibration_mps,
+        )
         progress(1, 2)
         write_report(folder / "report.html", settings, flight, window, scores, bound_sd, summary, about)
         progress(2, 2)
@@ -201,7 +213,8 @@ def _load(
 
     name, settings = load_scenario(scenario)
     changes = {"runs": runs, "seed": seed, "alignment.filters": filters or None}
-    return name, replaced(settings, {key: value for key, value in changes.items() if value is not None})
+    changes = {field: value for field, value in changes.items() if value is not None}
+    return name, replaced(settings, changes, origin="option")
 
 
 def _flown(settings: "Scenario", no_cache: bool, silent: bool) -> "Flight":

@@ -153,10 +153,10 @@ def load_scenario(name_or_path: str) -> tuple[str, Scenario]:
     return name, _validated(name_or_path, content, folder)
 
 
-def replaced(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
+def replaced(scenario: Scenario, changes: dict[str, Any], origin: str = "change") -> Scenario:
     """The scenario with other values for fields given by their dotted names, e.g. ``"imu.vibration_mps"``.
 
-    Raises `ScenarioError` like `load_scenario`.
+    Raises `ScenarioError` like `load_scenario`; ``origin`` stands in the place of the file.
     """
     content = scenario.model_dump(mode="json")
     for name, value in changes.items():
@@ -165,9 +165,9 @@ def replaced(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
         for part in path:
             table = table.get(part)
             if not isinstance(table, dict):
-                raise ScenarioError(f"{name}: unknown field")
+                raise ScenarioError(f"{origin}: {name}: unknown field")
         table[last] = value
-    return _validated("changed scenario", content, Path())
+    return _validated(origin, content, Path())
 
 
 def _validated(file: str, content: dict[str, Any], folder: Path) -> Scenario:

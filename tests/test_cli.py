@@ -1,0 +1,163 @@
+"""The command line: what it writes, what it prints, and how it refuses."""
+
+import json
+import sys
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from fleetalign.cosim import cli
+from fleetalign.cosim.score import COLUMNS
+
+FILES = {"summary.json", "estimates.parquet", "recording.rrd", "report.html", "manifest.json"}
+SHORT = """
+title = "A short alignment"
+runs = 3
+[flight]
+s_start_s = 150
+tail_s = 1
+[alignment]
+filters = ["l2linf", "ekf_stamped"]
+"""
+
+
+@pytest.fixture
+def command(monkeypatch, capfd):
+    """Runs the command line; returns (status, standard output, standard error)."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["fleetalign", *map(str, arguments)])
+        with pytest.raises(SystemExit) as exit_:
+            cli.main()
+        out, err = capfd.readouterr()
+        return exit_.value.code, out, err
+
+    return call
+
+
+def test_run_writes_the_files_of_the_contract(command, tmp_path):
+    status, out, _ = command("run", "gao2009", "--runs", 4, "--seed", 7, "--out", tmp_path / "new" / "out")
+    assert status == 0
+    folder = tmp_path / "new" / "out"
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert str(folder / "report.html") in out.replace("\n", "")
+    assert "Table 3" in out
+
+    summary = json.loads((folder / "summary.json").read_text())
+    assert (summary["scenario"], summary["seed"], summary["runs"]) == ("gao2009", 7, 4)
+    flight = summary["flight"]
+    assert flight["altitude_m"] == pytest.approx(1015, abs=1)
+    assert flight["speed_mps"] == pytest.approx(200, abs=0.5)
+    assert flight["s_duration_s"] <= 40
+    assert flight["s_altitude_deviation_m"] < 10
+    assert set(summary["filters"]) == {"ekf", "ekf_stamped", "l2linf"}
+    for row in summary["filters"].values():
+        assert set(COLUMNS) <= set(row)
+        assert set(row["window"]) == set(COLUMNS)
+        assert row["failed_runs"] == 0
+        assert {"level_below_60_arcsec_s", "heading_below_5_arcmin_s", "nees", "nis"} <= set(row)
+    assert set(summary["bound"]["stamped"]) == set(COLUMNS)
+    assert summary["paper"]["l2linf"]["pitch_arcsec"] == 21.01
+
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["seed"] == 7
+    assert len(manifest["scenario_sha256"]) == 64
+    assert manifest["versions"]["jsbsim"]
+
+    estimates = pq.read_table(folder / "estimates.parquet").to_pydict()
+    assert set(estimates["run"]) == {0, 1, 2, 3}
+    final = np.array(estimates["time_s"]) == max(estimates["time_s"])
+    mine = np.array(estimates["filter"]) == "l2linf"
+    errors = np.array(estimates["error_roll_arcsec"], float)[final & mine]
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(summary["filters"]["l2linf"]["roll_arcsec"])
+
+
+def test_run_takes_a_file_and_filters_and_prints_json(command, tmp_path):
+    scenario = tmp_path / "short.toml"
+    scenario.write_text(SHORT, "utf-8")
+    arguments = ("run", scenario, "--filter", "l2linf", "--json", "--out")
+    status, out, err = command(*arguments, tmp_path / "a")
+    assert (status, err) == (0, "")
+    summary = json.loads(out)
+    assert set(summary["filters"]) == {"l2linf"}
+    assert summary["runs"] == 3
+    assert "paper" not in summary
+    _, again, _ = command(*arguments, tmp_path / "b")
+    assert again == out
+    assert pq.read_table(tmp_path / "a/estimates.parquet") == pq.read_table(tmp_path / "b/estimates.parquet")
+
+
+def test_run_that_is_stopped_keeps_what_it_has(command, tmp_path, monkeypatch):
+    from fleetalign.cosim import run as run_module
+
+    real = run_module.simulate_all
+
+    def stopping(*arguments):
+        for run in real(*arguments):
+            yield run
+            if run.run_id == 1:
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(run_module, "simulate_all", stopping)
+    status, _, err = command("run", "--runs", 30, "--quiet", "--out", tmp_path)
+    assert status == 1
+    assert "after 2 of 30" in err
+    assert json.loads((tmp_path / "summary.json").read_text())["runs"] == 2
+    assert {path.name for path in tmp_path.iterdir()} == FILES
+
+
+def test_fly_tells_and_writes_the_flight(command, tmp_path, flight):
+    status, out, _ = command("fly", "gao2009", "--out", tmp_path, "--json")
+    assert status == 0
+    assert json.loads(out) == flight.summary
+    table = pq.read_table(tmp_path / "flight.parquet").to_pydict()
+    np.testing.assert_allclose(table["height_m"], flight.lla[:, 2])
+    np.testing.assert_allclose(table["dv_z_mps"], flight.dv_b[:, 2])
+    status, out, _ = command("fly")
+    assert "s_maneuver" in out
+
+
+def test_check_and_list(command):
+    assert command("check", "gao2009")[0] == 0
+    status, out, _ = command("list")
+    assert status == 0
+    for name in ("gao2009", "f16", "f4n", "t38", "a4", "ekf", "ekf_stamped", "l2linf"):
+        assert name in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("check", "nothing.toml"), "nothing.toml: cannot be read"),
+        (("run", "--runs", "0"), "option: runs = 0: allowed is [1, 1e+06]"),
+        (("run", "--runs", "many"), "--runs"),
+        (("run", "--seed", "-1"), "option: seed = -1"),
+        (("run", "--filter", "kalman"), "no filter 'kalman'"),
+        (("run", "--out", "/proc/no/where"), "--out /proc/no/where: cannot be written"),
+        (("run", "--colour"), "--colour"),
+        (("land",), "land"),
+    ],
+)
+def test_mistakes_end_with_one_line_and_status_2(command, arguments, told):
+    status, out, err = command(*arguments)
+    assert status == 2
+    assert out == ""
+    assert len(err.splitlines()) == 1
+    assert told in err
+
+
+def test_flight_that_cannot_be_flown_ends_with_one_line(command, tmp_path):
+    scenario = tmp_path / "weak.toml"
+    scenario.write_text('title = "x"\n[flight.start]\nrunway_length_m = 100\n', "utf-8")
+    status, _, err = command("run", scenario, "--quiet", "--out", tmp_path / "out")
+    assert status == 2
+    assert "takeoff" in err
+    assert len(err.splitlines()) == 1
+
+
+def test_alignment_outside_the_flight_ends_with_one_line(command, tmp_path):
+    scenario = tmp_path / "late.toml"
+    scenario.write_text(SHORT + "start = 9000.0\n", "utf-8")
+    status, _, err = command("run", scenario, "--quiet", "--out", tmp_path / "out")
+    assert status == 2
+    assert "late.toml: alignment" in err
