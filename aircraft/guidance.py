@@ -56,7 +56,7 @@ class Sensed:
     """From the start of the take-off roll, m."""
 
 
-@dataclass(slots=True, frozen=True)
+@dataclass(slots=True)
 class Target:
     """What a mission phase wants. Without ``altitude`` the pitch is held; without both the elevator rests.
 
@@ -72,7 +72,7 @@ class Target:
     on_runway: bool = False
 
 
-@dataclass(slots=True, frozen=True)
+@dataclass(slots=True)
 class Controls:
     """Normalised commands as JSBSim takes them: surfaces -1 to 1, throttle 0 to 1."""
 

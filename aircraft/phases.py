@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from math import atan, cos, exp, inf, pi, radians, sin
 
 from ..sins.earth import STANDARD_GRAVITY as G
@@ -65,9 +66,13 @@ class _LevelTarget:
     plan: FlightPlan
     gear = 0.0
 
-    def target(self, t: float, s: Sensed) -> Target:
+    @cached_property
+    def level(self) -> Target:
         plan = self.plan
         return Target(plan.speed_mps, radians(plan.start.heading_deg), altitude=plan.altitude_m)
+
+    def target(self, t: float, s: Sensed) -> Target:
+        return self.level
 
 
 @dataclass

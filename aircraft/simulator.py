@@ -34,6 +34,7 @@ class _Model:
     def __init__(self, plan: FlightPlan, airframe: Airframe) -> None:
         jsbsim.FGJSBBase().debug_lvl = 0
         self.plan = plan
+        self._wind = plan.air.wind_north_mps, plan.air.wind_east_mps, plan.air.wind_down_mps
         self.fdm = jsbsim.FGFDMExec(None)
         if not self.fdm.load_model(airframe.model):
             raise FlightError("preparation", 0.0, f"JSBSim has no usable model {airframe.model!r}")
@@ -135,27 +136,24 @@ class _Model:
             wow,
             distance,
         ) = [sensor() for sensor in self._sensors]
-        air = self.plan.air
+        wind_north, wind_east, wind_down = self._wind
+        # In the order of the fields: names would take as long as the reading.
         return Sensed(
-            altitude=altitude * FOOT,
-            height=height * FOOT,
-            climb_rate=-down * FOOT,
-            airspeed=math.hypot(
-                north * FOOT - air.wind_north_mps,
-                east * FOOT - air.wind_east_mps,
-                down * FOOT - air.wind_down_mps,
-            ),
-            roll=roll,
-            pitch=pitch,
-            heading=heading,
-            p=p,
-            q=q,
-            r=r,
-            alpha=alpha,
-            load_factor=nz,
-            dynamic_pressure=qbar * POUND_PER_SQUARE_FOOT,
-            on_wheels=wow > 0.5,
-            distance=distance,
+            altitude * FOOT,
+            height * FOOT,
+            -down * FOOT,
+            math.hypot(north * FOOT - wind_north, east * FOOT - wind_east, down * FOOT - wind_down),
+            roll,
+            pitch,
+            heading,
+            p,
+            q,
+            r,
+            alpha,
+            nz,
+            qbar * POUND_PER_SQUARE_FOOT,
+            wow > 0.5,
+            distance,
         )
 
 
@@ -180,7 +178,8 @@ def fly(plan: FlightPlan, progress: Progress | None = None) -> Flight:
     guidance = Guidance(airframe, 1 / GUIDANCE_RATE_HZ)
     envelope = Envelope(plan, airframe)
     record = array("d")
-    extend = record.extend
+    rows: list[float] = []
+    extend = rows.extend
     rx, ry, rz, vx, vy, vz, roll, pitch, heading = model.state_getters
     extend((rx(), ry(), rz(), vx(), vy(), vz(), roll(), pitch(), heading()))
 
@@ -200,6 +199,8 @@ def fly(plan: FlightPlan, progress: Progress | None = None) -> Flight:
             for _ in range(steps):
                 run()
                 extend((rx(), ry(), rz(), vx(), vy(), vz(), roll(), pitch(), heading()))
+            record.fromlist(rows)
+            rows.clear()
             tick += 1
             if progress is not None and wall.perf_counter() >= next_report:
                 progress(t, plan.end_s)
