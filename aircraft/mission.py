@@ -3,10 +3,11 @@
 from enum import StrEnum
 from math import atan, degrees
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from ..sins.earth import STANDARD_GRAVITY
 from ..sins.settings import Settings
+from .airframe import airframe_names
 
 GUIDANCE_RATE_HZ = 50
 """Rate of guidance, of the mission's phases and of the envelope monitor."""
@@ -96,6 +97,13 @@ class FlightPlan(Settings):
     """Rate of the flight's rows."""
     fdm_rate_hz: int = Field(default=0, ge=0, le=3200)
     """Rate of the flight model; a multiple of the IMU's and of 50 Hz. 0: 400 Hz, in turbulence 800 Hz."""
+
+    @field_validator("airframe")
+    @classmethod
+    def _known_airframe(cls, name: str) -> str:
+        if name.lower() not in airframe_names():
+            raise ValueError(f"unknown airframe; known: {', '.join(airframe_names())}")
+        return name.lower()
 
     @model_validator(mode="after")
     def _rates_divide(self) -> "FlightPlan":
