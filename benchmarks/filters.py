@@ -1,0 +1,42 @@
+"""The alignment filters against the same filters in readable numpy."""
+
+from functools import partial
+
+from fleetalign.align.filters import FILTERS, DelayModel, align
+
+from .harness import Harness, Row
+from .material import Material
+from .numpy_filter import NumpyFilter
+
+TARGET = 400e3
+"""Samples per second and core."""
+
+
+def rows(harness: Harness, material: Material) -> list[Row]:
+    """One row for each filter: samples per second and core, the call from Python included."""
+    samples = len(material.run.imu.time) - 1
+    rate_hz = 1 / material.window.dt
+    found = []
+    for name, delay in FILTERS.items():
+        arguments = material.alignment(name)
+        times = harness.times(
+            f"filter {name}",
+            {"ours": partial(align, *arguments), "numpy": NumpyFilter(*arguments).align},
+            rounds=3,
+            repeats={"ours": 20},
+        )
+        rate, oracle_rate = samples / times["ours"].best, samples / times["numpy"].best
+        found.append(
+            Row(
+                f"Filter `{name}`, {16 if delay is DelayModel.ESTIMATED else 15} states, one core",
+                times["ours"].rate(samples),
+                f"the same in numpy: {times['numpy'].rate(samples)}",
+                f"{rate / oracle_rate:.0f} times",
+                "400 k/s",
+                rate >= TARGET,
+                f"`align.filters.align`, the whole call, over a record of {samples / rate_hz:.0f} s at"
+                f" {rate_hz:.0f} Hz with {len(material.run.fixes)} fixes, the covariance carried at every"
+                " sample.",
+            )
+        )
+    return found
