@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from ..aircraft.flight import Flight
     from .run import Run
     from .scenario import Scenario
-    from .score import FilterScore
 
 app = typer.Typer(
     help="Fly, err, fix, align, record: in-flight alignment of a strapdown INS on late fleet fixes.",
@@ -134,7 +134,10 @@ def run(
     if as_json:
         typer.echo(json.dumps(summary, indent=2, allow_nan=False))
     elif not quiet:
-        out_console.print(_results(settings, summary, scores))
+        out_console.print(_results(settings, summary))
+        for filter_name, score in scores.items():
+            for run_id, reason in score.failures.items():
+                out_console.print(f"[red]failed[/red] {filter_name}, run {run_id}: {reason}", highlight=False)
         for line in settings.paper.remarks if settings.paper else ():
             out_console.print(f"[dim]-[/dim] {line}", highlight=False)
         out_console.print(f"report     {folder / 'report.html'}", highlight=False, soft_wrap=True)
@@ -245,26 +248,26 @@ def _progress(what: str, silent: bool) -> Iterator[Callable[[float, float], None
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def _results(settings: "Scenario", summary: dict, scores: "dict[str, FilterScore]") -> Table:
+def _results(settings: "Scenario", summary: dict) -> Table:
     """The table of alignment errors, the paper's and the bound's beside ours."""
     table = Table(
-        title=f"{settings.title}: RMS over {summary['runs']} runs after {settings.alignment.duration_s:g} s"
+        title=f"{settings.title}: RMS over {summary['runs']} runs after {settings.alignment.duration_s:g} s",
+        caption=f"paper: {settings.paper.source}" if settings.paper else None,
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        padding=(0, 1),
     )
-    for heading in ("", "roll, arcsec", "pitch, arcsec", "heading, arcmin", "vE, m/s", "vN, m/s"):
-        table.add_column(heading, justify="right" if heading else "left")
-    for heading in ("NEES (3)", "NIS (6)", "failed"):
-        table.add_column(heading, justify="right")
+    table.add_column("", no_wrap=True)
+    columns = {"roll": "arcsec", "pitch": "arcsec", "heading": "arcmin", "vE": "m/s", "vN": "m/s"}
+    for heading, unit in {**columns, "NEES": "of 3", "NIS": "of 6", "failed": "runs"}.items():
+        table.add_column(f"{heading}\n{unit}", justify="right", no_wrap=True)
     for name, row in summary["filters"].items():
         consistency = [_number(row["nees"], 2), _number(row["nis"], 2), str(row["failed_runs"])]
         table.add_row(name, *_five(row), *consistency)
     table.add_row("bound, stamped", *_five(summary["bound"]["stamped"]), style="dim")
     if settings.paper:
         for name in ("ekf", "l2linf"):
-            table.add_row(f"{settings.paper.source}: {name}", *_five(summary["paper"][name]), style="cyan")
-    for name, score in scores.items():
-        if score.failures:
-            told = ", ".join(f"run {i} {reason}" for i, reason in score.failures.items())
-            table.add_row(f"failed {name}: {told}", style="red")
+            table.add_row(f"paper, {name}", *_five(summary["paper"][name]), style="cyan")
     return table
 
 

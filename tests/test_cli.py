@@ -41,7 +41,7 @@ def test_run_writes_the_files_of_the_contract(command, tmp_path):
     folder = tmp_path / "new" / "out"
     assert {path.name for path in folder.iterdir()} == FILES
     assert str(folder / "report.html") in out.replace("\n", "")
-    assert "Table 3" in out
+    assert "paper: Gao et al., Table 3" in out
 
     summary = json.loads((folder / "summary.json").read_text())
     assert (summary["scenario"], summary["seed"], summary["runs"]) == ("gao2009", 7, 4)
