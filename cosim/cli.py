@@ -255,7 +255,7 @@ def _results(settings: "Scenario", summary: dict) -> Table:
         caption=f"paper: {settings.paper.source}" if settings.paper else None,
         box=SIMPLE_HEAD,
         pad_edge=False,
-        padding=(0, 1),
+        padding=(0, 0, 0, 1),
     )
     table.add_column("", no_wrap=True)
     columns = {"roll": "arcsec", "pitch": "arcsec", "heading": "arcmin", "vE": "m/s", "vN": "m/s"}
