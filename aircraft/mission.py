@@ -1,7 +1,7 @@
 """The mission's settings: take-off, climb, level flight, S-manoeuvre, and the air it is flown in."""
 
 from enum import StrEnum
-from math import atan, degrees
+from math import atan, degrees, lcm
 
 from pydantic import Field, field_validator, model_validator
 
@@ -96,7 +96,8 @@ class FlightPlan(Settings):
     imu_rate_hz: int = Field(default=100, ge=50, le=800)
     """Rate of the flight's rows."""
     fdm_rate_hz: int = Field(default=0, ge=0, le=3200)
-    """Rate of the flight model; a multiple of the IMU's and of 50 Hz. 0: 400 Hz, in turbulence 800 Hz."""
+    """Rate of the flight model; a multiple of the IMU's and of 50 Hz. 0: the least of these from
+    500 Hz, in turbulence from 800 Hz."""
 
     @field_validator("airframe")
     @classmethod
@@ -120,7 +121,9 @@ class FlightPlan(Settings):
         """Rate at which the flight model runs."""
         if self.fdm_rate_hz:
             return self.fdm_rate_hz
-        return 400 if self.air.turbulence is Turbulence.NONE else 800
+        least = 500 if self.air.turbulence is Turbulence.NONE else 800
+        common = lcm(self.imu_rate_hz, GUIDANCE_RATE_HZ)
+        return -(-least // common) * common
 
     @property
     def end_s(self) -> float:

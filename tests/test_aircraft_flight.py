@@ -230,7 +230,13 @@ def test_airframes_by_name():
         fly(FlightPlan(airframe="concorde"))
 
 
-@pytest.mark.parametrize("rates", [{"imu_rate_hz": 100, "fdm_rate_hz": 250}, {"imu_rate_hz": 150}])
+@pytest.mark.parametrize("rates", [{"fdm_rate_hz": 250}, {"imu_rate_hz": 60, "fdm_rate_hz": 120}])
 def test_rates_must_divide(rates):
     with pytest.raises(ValueError, match="a multiple of imu_rate_hz"):
         FlightPlan(**rates)
+
+
+@pytest.mark.parametrize(("imu_rate", "rate", "rough"), [(100, 500, 800), (200, 600, 800), (80, 800, 800)])
+def test_default_rate_of_the_flight_model(imu_rate, rate, rough):
+    assert FlightPlan(imu_rate_hz=imu_rate).model_rate_hz == rate
+    assert FlightPlan(imu_rate_hz=imu_rate, air=Air(turbulence=Turbulence.TUSTIN)).model_rate_hz == rough
