@@ -1,0 +1,277 @@
+"""The report's figures, as SVG text.
+
+Filters keep the colours of `palette`; the bound is a black dashed line. A band spans the 5th to the 95th
+percentile of the runs.
+"""
+
+import io
+from collections.abc import Mapping
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from ..aircraft.flight import Flight
+from ..align.consistency import mean_band
+from ..align.estimate import Array
+from ..sins import attitude
+from ..sins.units import DEG, MILLISECOND
+from .palette import ALIGNMENT, filter_color
+from .scenery import local_ned, told
+from .score import COLUMNS, FilterScore
+
+Scores = Mapping[str, FilterScore]
+
+_STYLE: Any = {
+    "svg.fonttype": "none",  # text stays text, in the reader's font
+    "svg.hashsalt": "fleetalign",  # equal figures have equal text
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "grid.color": "#E4E4E4",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+}
+_SINCE_START = "time from the start of the alignment, s"
+_WIDTH_IN = 11.0
+_LABELS = {
+    "roll_arcsec": "roll error, arcsec",
+    "pitch_arcsec": "pitch error, arcsec",
+    "heading_arcmin": "heading error, arcmin",
+    "v_east_mps": "velocity error east, m/s",
+    "v_north_mps": "velocity error north, m/s",
+}
+_MAX_POINTS = 1500
+
+
+def draw_all(
+    flight: Flight, window: Flight, scores: Scores, bound: Array, delay_mean_s: float
+) -> dict[str, str]:
+    """All figures as SVG elements by name; ``delay`` is there if a filter estimates one.
+
+    ``bound``, shape (m, 5), as `score.standard_deviations` gives it; ``delay_mean_s`` is that of the fixes.
+    """
+    estimating = {name: score for name, score in scores.items() if np.any(score.delay > 0)}
+    with mpl.rc_context(_STYLE):
+        figures = {
+            "attitude": _svg(_errors(scores, bound, COLUMNS[:3])),
+            "velocity": _svg(_errors(scores, bound, COLUMNS[3:], with_position=True)),
+            "consistency": _svg(_consistency(scores)),
+            "flight": _svg(_flight(flight, window)),
+        }
+        if estimating:
+            figures["delay"] = _svg(_delay(estimating, delay_mean_s))
+    return figures
+
+
+def _svg(figure: Figure) -> str:
+    """The ``<svg>`` element of a figure, without the XML prologue."""
+    text = io.StringIO()
+    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    return text.getvalue()[text.getvalue().index("<svg") :]
+
+
+def _panels(rows: int, columns: int, height_in: float) -> tuple[Figure, NDArray[np.object_]]:
+    figure = Figure(figsize=(_WIDTH_IN, height_in))
+    axes = figure.subplots(rows, columns, squeeze=False)
+    left, wspace = 0.75 / _WIDTH_IN, 0.24
+    figure.subplots_adjust(
+        left=left, right=0.99, bottom=0.5 / height_in, top=1 - 0.42 / height_in, wspace=wspace, hspace=0.15
+    )
+    return figure, axes
+
+
+def _legend(figure: Figure, *axes: Axes) -> None:
+    """One legend for all panels, above them."""
+    entries = {
+        label: handle for ax in axes for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        list(entries.values()),
+        list(entries),
+        loc="upper center",
+        ncols=len(entries),
+        bbox_to_anchor=(0.5, 1.0),
+    )
+
+
+def _spread(values: Array, quantiles: tuple[float, ...]) -> list[Array]:
+    """Order statistics over runs, (m,) for each quantile, of (runs, m); NaN where no run has a value."""
+    ordered = np.sort(values, axis=0)  # NaN comes last
+    last = np.isfinite(values).sum(axis=0) - 1
+    columns = np.arange(values.shape[1])
+    return [ordered[np.rint(q * last).astype(int), columns] for q in quantiles]
+
+
+def _log_scale(ax: Axes, bottom: float | None = None) -> None:
+    """Logarithmic, with plain numbers at the decades, and at twos and fives where there are few decades."""
+    ax.set_yscale("log")
+    ax.set_ylim(bottom=bottom)
+    low, high = ax.get_ylim()
+    steps = (1.0,) if high > 300 * low else (1.0, 2.0, 5.0)
+    ax.yaxis.set_major_locator(LogLocator(subs=steps))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
+    ax.yaxis.set_minor_locator(NullLocator())
+
+
+def _widths(scores: Scores) -> dict[str, float]:
+    """Earlier filters are drawn broader, so that curves that coincide stay visible."""
+    return {name: 1.3 + 0.8 * (len(scores) - 1 - i) for i, name in enumerate(scores)}
+
+
+def _errors(scores: Scores, bound: Array, columns: tuple[str, ...], with_position: bool = False) -> Figure:
+    figure, axes = _panels(1, 3, 3.6)
+    for ax, column in zip(axes[0], columns, strict=False):
+        i = COLUMNS.index(column)
+        for name, score in scores.items():
+            _rms_with_spread(ax, name, score.time, np.abs(score.errors[:, :, i]), _widths(scores)[name])
+        time = next(iter(scores.values())).time
+        ax.plot(time, bound[:, i], color="black", linestyle="--", linewidth=1, label="bound, stamps known")
+        ax.set(ylabel=_LABELS[column], xlabel=_SINCE_START)
+        # Single runs come as near to zero as chance has it.
+        _log_scale(ax, bottom=0.2 * float(np.nanmin(bound[:, i])))
+    if with_position:
+        ax = axes[0][2]
+        for name, score in scores.items():
+            distance = np.linalg.norm(score.position_errors, axis=2)
+            _rms_with_spread(ax, name, score.time, distance, _widths(scores)[name])
+        ax.set(ylabel="position error, m", xlabel=_SINCE_START)
+        _log_scale(ax)
+    _legend(figure, axes[0][0])
+    return figure
+
+
+def _rms_with_spread(ax: Axes, name: str, time: Array, magnitude: Array, width: float) -> None:
+    """RMS over runs of (runs, m), and the band of the runs."""
+    color = filter_color(name)
+    low, high = _spread(magnitude, (0.05, 0.95))
+    ax.fill_between(time, low, high, color=color, alpha=0.15, linewidth=0)
+    count = np.isfinite(magnitude).sum(axis=0)
+    total = np.sum(np.where(np.isfinite(magnitude), magnitude, 0.0) ** 2, axis=0)
+    rms = np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
+    ax.plot(time, rms, color=color, linewidth=width, label=name)
+
+
+def _consistency(scores: Scores) -> Figure:
+    figure, (panels,) = _panels(1, 2, 3.4)
+    over_time, histogram = panels
+    for name, score in scores.items():
+        over_time.plot(
+            score.time, score.mean_nees, color=filter_color(name), linewidth=_widths(scores)[name], label=name
+        )
+    runs = max(int(np.isfinite(score.nees[:, -1]).sum()) for score in scores.values())
+    over_time.axhspan(*mean_band(3, max(runs, 1)), color="#DDDDDD", label="95 % band if consistent")
+    over_time.axhline(3, color="black", linewidth=0.6)
+    over_time.set(ylabel=f"NEES (3), mean over {runs} runs", xlabel=_SINCE_START)
+    _log_scale(over_time)
+
+    means = {name: score.nis[np.isfinite(score.nis)] for name, score in scores.items()}
+    pooled = np.concatenate([*means.values(), [6.0]])
+    edges = np.linspace(pooled.min() - 0.1, pooled.max() + 0.1, 41)
+    for name, values in means.items():
+        histogram.hist(values, edges, histtype="stepfilled", color=filter_color(name), alpha=0.2)
+        histogram.hist(
+            values, edges, histtype="step", color=filter_color(name), linewidth=_widths(scores)[name]
+        )
+    fixes = int(np.median(np.concatenate([score.fused for score in scores.values()])))
+    if fixes:
+        mean = np.linspace(edges[0], edges[-1], 300)
+        count = runs * (edges[1] - edges[0])
+        expected = count * fixes * chi2.pdf(mean * fixes, 6 * fixes)
+        label = f"expected of {fixes} fixes a run"
+        histogram.plot(mean, expected, color="black", linestyle="--", linewidth=1, label=label)
+    histogram.set(xlabel="NIS (6), mean over the fixes of a run", ylabel="runs")
+    _legend(figure, over_time, histogram)
+    return figure
+
+
+def _delay(scores: Scores, delay_mean_s: float) -> Figure:
+    figure, ((ax,),) = _panels(1, 1, 2.6)
+    for name, score in scores.items():
+        low, middle, high = _spread(score.delay / MILLISECOND, (0.05, 0.5, 0.95))
+        ax.fill_between(score.time, low, high, color=filter_color(name), alpha=0.2, linewidth=0)
+        ax.plot(score.time, middle, color=filter_color(name), label=f"{name}: median of the runs")
+    ax.axhline(
+        delay_mean_s / MILLISECOND,
+        color="black",
+        linestyle="--",
+        linewidth=1,
+        label="mean delay of the fixes",
+    )
+    ax.set(ylabel="estimated mean delay, ms", xlabel=_SINCE_START)
+    _legend(figure, ax)
+    return figure
+
+
+def _flight(flight: Flight, window: Flight) -> Figure:
+    figure = Figure(figsize=(_WIDTH_IN, 4.6))
+    grid = figure.add_gridspec(
+        3, 2, width_ratios=[3, 2], left=0.07, right=0.99, bottom=0.11, top=0.93, hspace=0.18, wspace=0.16
+    )
+    rows = slice(None, None, max(1, len(flight.time) // _MAX_POINTS))
+    channels = {
+        "altitude, m": flight.lla[rows, 2],
+        "speed, m/s": np.linalg.norm(flight.v_n[rows], axis=1),
+        "bank, deg": flight.bank[rows] / DEG,
+    }
+    first: Axes | None = None
+    for i, (label, values) in enumerate(channels.items()):
+        ax = figure.add_subplot(grid[i, 0], sharex=first)
+        first = first or ax
+        ax.axvspan(window.time[0], window.time[-1], color=ALIGNMENT, alpha=0.35, linewidth=0)
+        ax.plot(flight.time[rows], values, color="#333333", linewidth=1.2)
+        for phase in flight.phases[1:]:
+            ax.axvline(phase.start_s, color="#999999", linewidth=0.6, linestyle=":")
+        ax.set(ylabel=label, xlim=(flight.time[0], flight.time[-1]))
+        ax.tick_params(labelbottom=i == 2)
+        if i == 2:
+            ax.set_xlabel("time from brake release, s (yellow: alignment)")
+    assert first is not None
+    _name_phases(first, flight)
+    _ground_track(figure.add_subplot(grid[:, 1]), flight, window, rows)
+    return figure
+
+
+def _name_phases(ax: Axes, flight: Flight) -> None:
+    """Names of the phases above a panel, those that are long enough to have room."""
+    duration = float(flight.time[-1] - flight.time[0])
+    for phase in flight.phases:
+        name = told(phase.name)
+        if (phase.end_s - phase.start_s) / duration > 0.011 * len(name):
+            middle = 0.5 * (phase.start_s + phase.end_s)
+            ax.text(
+                middle, 1.04, name, transform=ax.get_xaxis_transform(), ha="center", color="#555555", size=8
+            )
+
+
+def _ground_track(ax: Axes, flight: Flight, window: Flight, rows: slice) -> None:
+    """The whole track, and the alignment's with its sideways motion enlarged."""
+    ned = local_ned(flight.lla, flight.lla[0]) / 1000
+    aligned = local_ned(window.lla, flight.lla[0]) / 1000
+    ax.plot(ned[rows, 1], ned[rows, 0], color="#333333", linewidth=1.2)
+    ax.plot(aligned[:, 1], aligned[:, 0], color=ALIGNMENT, linewidth=4, alpha=0.8)
+    ax.plot(ned[0, 1], ned[0, 0], marker="o", color="#333333")
+    ax.set(xlabel="east of the start, km", ylabel="north of the start, km")
+    ax.set_aspect("equal", adjustable="datalim")
+
+    heading = float(attitude.to_euler(window.q_nb[0])[2])
+    along, across = (
+        np.array([np.cos(heading), np.sin(heading)]),
+        np.array([-np.sin(heading), np.cos(heading)]),
+    )
+    track = (aligned - aligned[0])[:, :2][:: max(1, len(aligned) // 400)]
+    inset = ax.inset_axes((0.55, 0.12, 0.42, 0.3))
+    inset.plot(track @ along, 1000 * track @ across, color="#B8860B", linewidth=1.5)
+    inset.set_title("alignment", size=8)
+    inset.tick_params(labelsize=7)
+    inset.set_xlabel("along, km", size=7, labelpad=1)
+    inset.set_ylabel("across, m", size=7, labelpad=1)

@@ -1,0 +1,186 @@
+"""The report of a scenario's runs: one HTML file that needs nothing else."""
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+
+from ..aircraft.flight import Flight
+from ..align.estimate import Array, FixOutcome
+from .figures import draw_all
+from .palette import filter_color
+from .scenario import Scenario
+from .scenery import told
+from .score import COLUMNS, FilterScore
+
+_DIGITS = dict(zip(COLUMNS, (1, 1, 2, 3, 3), strict=True))
+_HEADINGS = ("Roll, arcsec", "Pitch, arcsec", "Heading, arcmin", "v east, m/s", "v north, m/s")
+_MISSING = "\N{EN DASH}"
+
+
+def write_report(
+    path: str | Path,
+    scenario: Scenario,
+    flight: Flight,
+    window: Flight,
+    scores: Mapping[str, FilterScore],
+    bound: Array,
+    summary: dict[str, Any],
+    manifest: dict[str, Any],
+) -> None:
+    """Write the report, whole or not at all.
+
+    Parameters
+    ----------
+    flight : the whole of it. window : the part in which the runs aligned.
+    bound : (m, 5), as `score.standard_deviations` gives it.
+    summary, manifest : content of `summary.json` and of `manifest.json`.
+
+    Raises OSError.
+    """
+    path = Path(path)
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).with_name("templates")),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters["number"] = _number
+    figures = draw_all(flight, window, scores, bound, scenario.fixes.delay_mean_s)
+    html = environment.get_template("report.html.j2").render(
+        scenario=scenario,
+        summary=summary,
+        manifest=manifest,
+        headline=_headline(summary, window),
+        columns=list(zip(COLUMNS, _HEADINGS, _DIGITS.values(), strict=True)),
+        rows=[_row(name, row, summary["bound"]["stamped"]) for name, row in summary["filters"].items()],
+        comparison=_comparison(summary),
+        outcomes=_outcomes(scores),
+        failures={name: score.failures for name, score in scores.items() if score.failures},
+        figures={name: Markup(svg) for name, svg in figures.items()},
+        duration_s=float(window.time[-1] - window.time[0]),
+        scenario_text=to_toml(scenario.model_dump(mode="json")),
+    )
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(html, "utf-8")
+    os.replace(partial, path)
+
+
+def level(row: Mapping[str, float | None]) -> float:
+    """RMS of roll and pitch error, arcsec; NaN if there is none."""
+    both = [row["roll_arcsec"], row["pitch_arcsec"]]
+    return float(np.sqrt(np.mean(np.square([np.nan if x is None else x for x in both]))))
+
+
+def _headline(summary: dict[str, Any], window: Flight) -> str:
+    """The result in a few sentences."""
+    floor = summary["bound"]["stamped"]
+    rows = {name: row for name, row in summary["filters"].items() if np.isfinite(level(row))}
+    start = f"After {window.time[-1] - window.time[0]:g} s, RMS over {summary['runs']} runs"
+    if not rows:
+        return f"{start}: no filter came to an end."
+    reaching = [name for name, row in rows.items() if level(_lower_ends(row)) <= level(floor)]
+    told_rows = []
+    if reaching:
+        levels = " and ".join(f"{name} ({level(rows[name]):.1f} arcsec)" for name in reaching)
+        told_rows.append(
+            f"{levels} reach the bound in level ({level(floor):.1f} arcsec) within sampling error"
+        )
+    told_rows += [
+        f"{name} is level to {level(row):.1f} arcsec, {level(row) / level(floor):.1f} times the bound"
+        for name, row in rows.items()
+        if name not in reaching
+    ]
+    headings = [row["heading_arcmin"] for row in rows.values()]
+    span = " to ".join(dict.fromkeys(f"{h:.2f}" for h in (min(headings), max(headings))))
+    failed = sum(row["failed_runs"] for row in summary["filters"].values())
+    return (
+        f"{start}: {'; '.join(told_rows)}. Heading {span} arcmin, bound {floor['heading_arcmin']:.2f}."
+        f" {failed or 'No'} failed run{'s' if failed > 1 else ''}."
+    )
+
+
+def _lower_ends(row: Mapping[str, Any]) -> dict[str, float]:
+    """The lower ends of a filter's confidence intervals."""
+    return {column: row["ci95"][column][0] for column in COLUMNS}
+
+
+def _row(name: str, row: dict[str, Any], floor: dict[str, Any]) -> dict[str, Any]:
+    """A filter's line of the headline table, and of the table over the last half."""
+
+    def judged(kind: str) -> dict[str, Any]:
+        value, (low, high) = row[kind], row[f"{kind}_band95"]
+        outside = value is not None and not low <= value <= high
+        return {"value": value, "low": low, "high": high, "outside": outside}
+
+    return {
+        "name": name,
+        "color": filter_color(name),
+        "values": [(column, row[column], row["ci95"][column], _DIGITS[column]) for column in COLUMNS],
+        "level_ratio": level(row) / level(floor),
+        "heading_ratio": _ratio(row["heading_arcmin"], floor["heading_arcmin"]),
+        "nees": judged("nees"),
+        "nis": judged("nis"),
+        "failed": row["failed_runs"],
+        "level_s": row["level_below_60_arcsec_s"],
+        "heading_s": row["heading_below_5_arcmin_s"],
+        "window": [(column, row["window"][column], _DIGITS[column]) for column in COLUMNS],
+    }
+
+
+def _comparison(summary: dict[str, Any]) -> list[tuple[str, list[tuple[float | None, int]]]]:
+    """The paper's table and ours, line by line, with what the second filter gains over the first in each."""
+    if "paper" not in summary:
+        return []
+    paper, ours = summary["paper"], summary["filters"]
+    lines = []
+    for name in paper:
+        lines.append((f"paper, {name}", [(paper[name][c], _DIGITS[c]) for c in COLUMNS]))
+        if name in ours:
+            lines.append((f"here, {name}", [(ours[name][c], _DIGITS[c]) for c in COLUMNS]))
+    for whose, table in (("paper", paper), ("here", ours)):
+        if "ekf" in table and "l2linf" in table:
+            gains = [(_ratio(table["l2linf"][c], table["ekf"][c]), 2) for c in COLUMNS]
+            lines.append((f"{whose}, l2linf / ekf", gains))
+    return lines
+
+
+def _outcomes(scores: Mapping[str, FilterScore]) -> dict[str, Any]:
+    """What became of the fixes: the outcomes that occur, and for each filter their counts and shares."""
+    kinds = [o for o in FixOutcome if any(score.fix_outcomes[o] for score in scores.values())]
+    counts = {}
+    for name, score in scores.items():
+        total = max(sum(score.fix_outcomes.values()), 1)
+        counts[name] = [(score.fix_outcomes[o], 100 * score.fix_outcomes[o] / total) for o in kinds]
+    return {"kinds": [told(o.name) for o in kinds], "counts": counts}
+
+
+def _ratio(value: float | None, reference: float | None) -> float | None:
+    return None if value is None or not reference else value / reference
+
+
+def _number(value: float | None, digits: int) -> str:
+    """A number with its digits, a dash where there is none."""
+    return _MISSING if value is None or not np.isfinite(value) else f"{value:.{digits}f}"
+
+
+def to_toml(content: Mapping[str, Any]) -> str:
+    """TOML text of nested tables of numbers, strings, truth values and lists of these; None is left out."""
+    return "\n".join(_toml_lines(content, ())).strip() + "\n"
+
+
+def _toml_lines(table: Mapping[str, Any], where: tuple[str, ...]) -> list[str]:
+    plain = {key: value for key, value in table.items() if value is not None and not isinstance(value, dict)}
+    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in plain.items()]
+    if where and lines:
+        lines = ["", f"[{'.'.join(where)}]", *lines]
+    for key, value in table.items():
+        if isinstance(value, dict):
+            lines += _toml_lines(value, (*where, key))
+    return lines
