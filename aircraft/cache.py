@@ -53,7 +53,7 @@ def flight_key(plan: FlightPlan) -> str:
     """
     airframe = load_airframe(plan.airframe)
     facts = {
-        "plan": plan.model_copy(update={"airframe": plan.airframe.lower()}).model_dump(mode="json"),
+        "plan": plan.model_dump(mode="json"),
         "airframe": airframe.model_dump(mode="json"),
         "jsbsim": jsbsim.__version__,
     }

@@ -142,7 +142,7 @@ def test_key_tells_plans_apart(changes):
 
 def test_key_knows_the_code_and_jsbsim(monkeypatch):
     key = flight_key(PLAN)
-    assert flight_key(PLAN.model_copy(update={"airframe": "F16"})) == key
+    assert flight_key(FlightPlan(**{**dict(PLAN), "airframe": "F16"})) == key
     monkeypatch.setattr(cache.jsbsim, "__version__", "0.0")
     assert flight_key(PLAN) != key
     monkeypatch.undo()

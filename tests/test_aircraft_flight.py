@@ -226,8 +226,11 @@ def test_ground_contact_and_lost_state_end_a_flight():
 def test_airframes_by_name():
     assert airframe_names() == ["a4", "f16", "f4n", "t38"]
     assert load_airframe("F4N") == load_airframe("f4n")
+    assert FlightPlan(airframe="F4N") == FlightPlan(airframe="f4n")
     with pytest.raises(ValueError, match="unknown airframe 'concorde': one of a4, f16, f4n, t38"):
-        fly(FlightPlan(airframe="concorde"))
+        load_airframe("concorde")
+    with pytest.raises(ValueError, match="unknown airframe; known: a4, f16, f4n, t38"):
+        FlightPlan(airframe="concorde")
 
 
 @pytest.mark.parametrize("rates", [{"fdm_rate_hz": 250}, {"imu_rate_hz": 60, "fdm_rate_hz": 120}])
