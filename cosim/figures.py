@@ -171,24 +171,22 @@ def _consistency(scores: Scores) -> Figure:
     runs = max(int(np.isfinite(score.nees[:, -1]).sum()) for score in scores.values())
     over_time.axhspan(*mean_band(3, max(runs, 1)), color="#DDDDDD", label="95 % band if consistent")
     over_time.axhline(3, color="black", linewidth=0.6)
-    over_time.set(ylabel=f"NEES (3), mean over {runs} runs", xlabel=_SINCE_START)
+    over_time.set(ylabel="NEES (3), mean over the runs", xlabel=_SINCE_START)
     _log_scale(over_time)
 
     means = {name: score.nis[np.isfinite(score.nis)] for name, score in scores.items()}
-    pooled = np.concatenate([*means.values(), [6.0]])
+    fixes = max(int(np.median(np.concatenate([score.fused for score in scores.values()]))), 1)
+    pooled = np.concatenate([*means.values(), mean_band(6, fixes, 0.999)])
     edges = np.linspace(pooled.min() - 0.1, pooled.max() + 0.1, 41)
     for name, values in means.items():
         histogram.hist(values, edges, histtype="stepfilled", color=filter_color(name), alpha=0.2)
         histogram.hist(
             values, edges, histtype="step", color=filter_color(name), linewidth=_widths(scores)[name]
         )
-    fixes = int(np.median(np.concatenate([score.fused for score in scores.values()])))
-    if fixes:
-        mean = np.linspace(edges[0], edges[-1], 300)
-        count = runs * (edges[1] - edges[0])
-        expected = count * fixes * chi2.pdf(mean * fixes, 6 * fixes)
-        label = f"expected of {fixes} fixes a run"
-        histogram.plot(mean, expected, color="black", linestyle="--", linewidth=1, label=label)
+    mean = np.linspace(edges[0], edges[-1], 300)
+    expected = runs * (edges[1] - edges[0]) * fixes * chi2.pdf(mean * fixes, 6 * fixes)
+    label = f"expected of {fixes} fixes a run"
+    histogram.plot(mean, expected, color="black", linestyle="--", linewidth=1, label=label)
     histogram.set(xlabel="NIS (6), mean over the fixes of a run", ylabel="runs")
     _legend(figure, over_time, histogram)
     return figure

@@ -20,6 +20,7 @@ from .score import COLUMNS, FilterScore
 
 _DIGITS = dict(zip(COLUMNS, (1, 1, 2, 3, 3), strict=True))
 _HEADINGS = ("Roll, arcsec", "Pitch, arcsec", "Heading, arcmin", "v east, m/s", "v north, m/s")
+_RUNS_TO_JUDGE = 10
 _MISSING = "\N{EN DASH}"
 
 
@@ -82,15 +83,19 @@ def _headline(summary: dict[str, Any], window: Flight) -> str:
     """The result in a few sentences."""
     floor = summary["bound"]["stamped"]
     rows = {name: row for name, row in summary["filters"].items() if np.isfinite(level(row))}
-    start = f"After {window.time[-1] - window.time[0]:g} s, RMS over {summary['runs']} runs"
+    runs = f"RMS over {summary['runs']} runs" if summary["runs"] > 1 else "errors of one run"
+    start = f"After {window.time[-1] - window.time[0]:g} s, {runs}"
     if not rows:
         return f"{start}: no filter came to an end."
-    reaching = [name for name, row in rows.items() if level(_lower_ends(row)) <= level(floor)]
+    # A few runs can come near the bound by chance, and say nothing.
+    enough = summary["runs"] >= _RUNS_TO_JUDGE
+    reaching = [name for name, row in rows.items() if enough and level(_lower_ends(row)) <= level(floor)]
     told_rows = []
     if reaching:
         levels = " and ".join(f"{name} ({level(rows[name]):.1f} arcsec)" for name in reaching)
+        verb = "reach" if len(reaching) > 1 else "reaches"
         told_rows.append(
-            f"{levels} reach the bound in level ({level(floor):.1f} arcsec) within sampling error"
+            f"{levels} {verb} the bound in level ({level(floor):.1f} arcsec) within sampling error"
         )
     told_rows += [
         f"{name} is level to {level(row):.1f} arcsec, {level(row) / level(floor):.1f} times the bound"
