@@ -18,6 +18,7 @@ References
 """
 
 from enum import IntEnum
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -142,13 +143,13 @@ def align(
     if delay is DelayModel.STAMPED:
         outcome[fixes.t_stamp > fixes.t_arrival + dt] = FixOutcome.FUTURE
         outcome[fixes.t_stamp < time[0]] = FixOutcome.LATE
-    finite = [np.isfinite(a).reshape(k, -1).all(axis=1) for a in (fixes.lla, fixes.v_n, fixes.cov)]
-    outcome[~np.logical_and.reduce(finite)] = FixOutcome.NOT_FINITE
+    for values in (fixes.lla, fixes.v_n, fixes.cov):
+        finite = np.isfinite(values)
+        if not finite.all():
+            outcome[~finite.reshape(k, -1).all(axis=1)] = FixOutcome.NOT_FINITE
     arrival_epoch = np.searchsorted(time, fixes.t_arrival)
     reference_epoch = np.minimum(np.searchsorted(time, reference), arrival_epoch)
-    identity = np.stack([fixes.source, fixes.sequence], axis=1)
-    packet = np.unique(identity, axis=0, return_inverse=True)[1].reshape(-1)
-    source = np.unique(fixes.source, return_inverse=True)[1]
+    source, packet = _numbered(fixes)
 
     every = max(1, round(1 / (settings.output_rate_hz * dt)))
     output_epoch = np.unique(np.append(np.arange(every, n, every), n - 1))
@@ -181,7 +182,7 @@ def align(
         initial_sd(settings, imu, delay),
         noise_density(imu),
         imu.vibration_mps**2,
-        float(chi2.ppf(settings.gate_probability, 6)),
+        _gate(settings.gate_probability),
         round(settings.horizon_s / dt),
         max(1, round(settings.acceleration_window_s / dt)),
         int(gravity),
@@ -210,9 +211,27 @@ def align(
 
 def _finite_increments(increments: Array) -> tuple[Array, int]:
     """Replace rows that are not finite by the last good row (zero at the very start); count them."""
-    bad = ~np.isfinite(increments).all(axis=1)
-    held = int(np.count_nonzero(bad))
-    if held:
-        last_good = np.maximum.accumulate(np.where(bad, -1, np.arange(len(increments))))
-        increments = np.where((last_good < 0)[:, None], 0.0, increments[last_good])
-    return np.ascontiguousarray(increments), held
+    finite = np.isfinite(increments)
+    if finite.all():
+        return increments, 0
+    bad = ~finite.all(axis=1)
+    last_good = np.maximum.accumulate(np.where(bad, -1, np.arange(len(increments))))
+    increments = np.where((last_good < 0)[:, None], 0.0, increments[last_good])
+    return np.ascontiguousarray(increments), int(np.count_nonzero(bad))
+
+
+def _numbered(fixes: Fixes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Source and packet of each fix, (k,), counted from 0 in order of source and of (source, sequence)."""
+    order = np.lexsort((fixes.sequence, fixes.source))
+    by_source, by_sequence = fixes.source[order], fixes.sequence[order]
+    new_source = by_source[1:] != by_source[:-1]
+    new_packet = new_source | (by_sequence[1:] != by_sequence[:-1])
+    source, packet = np.zeros(len(fixes), np.int64), np.zeros(len(fixes), np.int64)
+    source[order[1:]], packet[order[1:]] = np.cumsum(new_source), np.cumsum(new_packet)
+    return source, packet
+
+
+@cache
+def _gate(probability: float) -> float:
+    """Largest NIS of a fix that passes; cached, since the quantile costs as much as a hundred samples."""
+    return float(chi2.ppf(probability, 6))
