@@ -143,7 +143,9 @@ def run(
         out_console.print(f"report     {folder / 'report.html'}", highlight=False, soft_wrap=True)
         out_console.print(f"recording  {folder / 'recording.rrd'}", highlight=False, soft_wrap=True)
     if view:
-        subprocess.Popen([sys.executable, "-m", "rerun", str(folder / "recording.rrd")])
+        subprocess.Popen(
+            [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(folder / "recording.rrd")]
+        )
     if done < settings.runs:
         raise typer.Exit(1)
 

@@ -1,8 +1,24 @@
 """Shared fixtures: a cache of flights of its own, and the flight of the default scenario."""
 
+import hashlib
 import os
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
+
+# Compiled loops are kept on disk by the time stamp of their own module alone. A change in a function that
+# they call from another module would go unnoticed: keep them by the content of all of them.
+_sources = sorted(
+    path
+    for room in ("sins", "align")
+    for folder in find_spec(f"fleetalign.{room}").submodule_search_locations
+    for path in Path(folder).glob("*.py")
+)
+_digest = hashlib.sha256(b"".join(path.read_bytes() for path in _sources)).hexdigest()[:16]
+os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir(), f"fleetalign-compiled-{_digest}")))
+
 from fleetalign.aircraft.cache import cached_flight
 from fleetalign.cosim.run import alignment_window
 from fleetalign.cosim.scenario import load_scenario
