@@ -16,7 +16,7 @@ GUIDANCE_RATE_HZ = 50
 class Start(Settings):
     """Where and how the aircraft stands before the brakes are released.
 
-    Gao et al. (2009, Table 1) give the initial attitude as (0, 0, 45) deg, the last of it a roll angle; no
+    Gao et al. (Table 1) give the initial attitude as (0, 0, 45) deg, the last of it a roll angle; no
     aircraft stands on a runway like that, so the 45 deg are taken for the heading.
     """
 
@@ -77,7 +77,7 @@ class FlightPlan(Settings):
     """Everything that determines a flight: the same plan gives the same flight, bit for bit.
 
     Take-off from rest, climb to ``altitude_m``, level flight at ``speed_mps`` until ``s_start_s``, the
-    S-manoeuvre, and level flight for ``tail_s``. Gao et al. (2009), section 5.1: 1015 m, 200 m/s, an
+    S-manoeuvre, and level flight for ``tail_s``. Gao et al., section 5.1: 1015 m, 200 m/s, an
     alignment of at most 40 s; 500 s of localisation come before it. Times are seconds from brake release.
     """
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from math import atan, cos, exp, inf, pi, radians, sin
+from typing import get_args
 
 from ..sins.earth import STANDARD_GRAVITY as G
 from .airframe import Airframe
@@ -150,6 +151,8 @@ class Tail(_LevelTarget):
 
 
 MissionPhase = Takeoff | InitialClimb | Climb | Capture | Level | SManeuverPhase | Tail
+PHASE_NAMES = tuple(phase.name for phase in get_args(MissionPhase))
+"""In the order in which they are flown."""
 
 
 def s_bank(maneuver: SManeuver, t: float) -> float:

@@ -43,9 +43,19 @@ def _initialize(X, P, time, increments, k, q_initial, lla, v_n, initial, sd, gra
         X[i], X[3 + i] = lla[i], v_n[i]
     for i in range(7):
         X[10 + i] = initial[i]
-    P[:] = 0.0
     for i in range(N_STATES):
-        P[i, i] = sd[i] * sd[i]
+        for j in range(N_STATES):
+            P[i, j] = sd[i] * sd[i] if i == j else 0.0
+
+
+@njit(**COMPILED)
+def _copy(X_from, P_from, X_to, P_to):
+    """Copy state and covariance; loops compile much faster than array assignments."""
+    for i in range(len(X_to)):
+        X_to[i] = X_from[i]
+    for i in range(N_STATES):
+        for j in range(N_STATES):
+            P_to[i, j] = P_from[i, j]
 
 
 @njit(**COMPILED)
@@ -140,7 +150,7 @@ def align(
         if running:
             predict(X, P, time, increments, k, noise_density, gravity_model, work)
             if stamped:
-                X_kept[k % kept], P_kept[k % kept] = X, P
+                _copy(X, P, X_kept[k % kept], P_kept[k % kept])
 
         # Take in what has arrived, each fix at its place in the order of application.
         back, restart = k + 1, False
@@ -194,13 +204,13 @@ def align(
                 )
                 running = True
                 if stamped:
-                    X_kept[back % kept], P_kept[back % kept] = X, P
+                    _copy(X, P, X_kept[back % kept], P_kept[back % kept])
             elif back < k:
-                X[:], P[:] = X_kept[back % kept], P_kept[back % kept]
+                _copy(X_kept[back % kept], P_kept[back % kept], X, P)
             for j in range(back, k + 1):
                 if j > back:
                     predict(X, P, time, increments, j, noise_density, gravity_model, work)
-                    X_kept[j % kept], P_kept[j % kept] = X, P
+                    _copy(X, P, X_kept[j % kept], P_kept[j % kept])
                 while first < n_applied and epoch[applied[first]] == j:
                     f = applied[first]
                     kinematics(X, time, increments, j, samples, gravity_model, C, f_n, u)
@@ -223,7 +233,8 @@ def align(
                         buffers,
                     )
                     outcome[f] = INITIALIZED if first == 0 else (FUSED if taken else GATED)
-                    innovation_out[f] = innovation
+                    for i in range(6):
+                        innovation_out[f, i] = innovation[i]
                     nis_out[f] = nis
                     fix_time_out[f] = time[j]
                     first += 1
@@ -231,10 +242,13 @@ def align(
                 return running, False
 
         if running and output < len(output_epoch) and output_epoch[output] == k:
-            X_out[output] = X
+            for i in range(len(X)):
+                X_out[output, i] = X[i]
             for i in range(N_STATES):
                 variance_out[output, i] = P[i, i]
-            misalignment_out[output] = P[6:9, 6:9]
+            for i in range(3):
+                for j in range(3):
+                    misalignment_out[output, i, j] = P[6 + i, 6 + j]
         if output < len(output_epoch) and output_epoch[output] == k:
             output += 1
     return running, True

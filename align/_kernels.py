@@ -113,7 +113,9 @@ def update(
     for i in range(3):
         innovation[3 + i] = X[3 + i] - age * u[3 + i] - v_n[i]
 
-    H[:] = 0.0
+    for i in range(6):
+        for j in range(N_STATES):
+            H[i, j] = 0.0
     for i in range(3):
         H[i, i] = 1.0
         H[i, 3 + i] = -age

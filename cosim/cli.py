@@ -189,7 +189,11 @@ def fly(
 @app.command()
 def check(scenario: ScenarioArgument) -> None:
     """Check a scenario without flying it."""
+    from ..aircraft.airframe import load_airframe
+    from ..aircraft.envelope import Envelope
+
     name, settings = _load(scenario)
+    Envelope(settings.flight, load_airframe(settings.flight.airframe))
     out_console.print(f"{name}: {settings.title}: good", highlight=False, soft_wrap=True)
 
 

@@ -143,7 +143,13 @@ class EstimatesWriter(AbstractContextManager["EstimatesWriter"]):
         columns |= _columns([f"accel_bias_{a}_ug" for a in "xyz"], estimate.accel_bias / MICRO_G)
         columns |= _columns([f"gyro_bias_{a}_deg_h" for a in "xyz"], estimate.gyro_bias / DEG_PER_HOUR)
         columns["delay_ms"] = estimate.delay / MILLISECOND
-        return pa.table({key: pa.array(value, from_pandas=True) for key, value in columns.items()})
+        # Position and time need all digits; the rest is good to seven.
+        exact = ("run", "filter", "time_s", "lat_deg", "lon_deg", "height_m")
+        arrays = {
+            key: pa.array(value if key in exact else value.astype(np.float32), from_pandas=True)
+            for key, value in columns.items()
+        }
+        return pa.table(arrays)
 
     def _flush(self) -> None:
         if self._tables:

@@ -6,9 +6,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from ..aircraft.mission import FlightPlan
+from ..aircraft.phases import PHASE_NAMES
 from ..align.filters import FILTERS, FilterSettings
 from ..network.source import AnyFixSource, FixSource
 from ..sins.earth import GravityModel
@@ -62,6 +63,15 @@ class AlignmentSettings(Settings):
     filters: tuple[str, ...] = tuple(FILTERS)
     settings: FilterSettings = FilterSettings()
 
+    @field_validator("start")
+    @classmethod
+    def _in_the_mission(cls, start: str | float) -> str | float:
+        if isinstance(start, str) and start not in PHASE_NAMES:
+            raise ValueError(f"no such phase; known: {', '.join(PHASE_NAMES)}, or seconds from brake release")
+        if not isinstance(start, str) and start < 0:
+            raise ValueError("allowed is [0, inf) s")
+        return start
+
     @field_validator("filters")
     @classmethod
     def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -80,11 +90,11 @@ class AlignmentSettings(Settings):
 class PaperRow(Settings):
     """One line of a published table."""
 
-    roll_arcsec: float = Field(ge=0)
-    pitch_arcsec: float = Field(ge=0)
-    heading_arcmin: float = Field(ge=0)
-    v_east_mps: float = Field(ge=0)
-    v_north_mps: float = Field(ge=0)
+    roll_arcsec: float = Field(ge=0, le=1e6)
+    pitch_arcsec: float = Field(ge=0, le=1e6)
+    heading_arcmin: float = Field(ge=0, le=1e5)
+    v_east_mps: float = Field(ge=0, le=1e3)
+    v_north_mps: float = Field(ge=0, le=1e3)
 
 
 class Paper(Settings):
@@ -97,7 +107,7 @@ class Paper(Settings):
 
 
 class Scenario(Settings):
-    """All that a co-simulation depends on, besides the number of its runs and their seed."""
+    """All that a co-simulation depends on."""
 
     title: str
     source: str = ""
@@ -108,6 +118,19 @@ class Scenario(Settings):
     fixes: AnyFixSource = FixSource()
     alignment: AlignmentSettings = AlignmentSettings()
     paper: Paper | None = None
+
+    @model_validator(mode="after")
+    def _alignment_inside_the_flight(self) -> "Scenario":
+        # Earlier phases end when the aircraft is ready; only these starts are known before it flies.
+        plan, alignment = self.flight, self.alignment
+        s_end_s = plan.s_start_s + plan.s_maneuver.duration_s
+        start_s = {"s_maneuver": plan.s_start_s, "tail": s_end_s}.get(str(alignment.start), alignment.start)
+        if not isinstance(start_s, str) and start_s + alignment.duration_s > plan.end_s:
+            raise ValueError(
+                f"alignment from {start_s:g} s for {alignment.duration_s:g} s does not end before the flight,"
+                f" at {plan.end_s:g} s"
+            )
+        return self
 
     @property
     def digest(self) -> str:
@@ -198,10 +221,12 @@ def _declared(location: tuple[str | int, ...]) -> tuple[list[str], str]:
     schema = Scenario.model_json_schema()
     candidates, parts = [schema], []
     for part in location:
-        nested = [p[part] for c in candidates for p in _properties(c, schema) if part in p]
-        # What is not a property is the tag of an alternative, an index, or unknown.
+        declared = [p for c in candidates for p in _properties(c, schema)]
+        nested = [p[part] for p in declared if part in p]
         candidates = nested or candidates
-        if nested or part == location[-1] or isinstance(part, int):
+        # What is not a property is an index, an unknown field, or the tag of an alternative: drop the tag.
+        tags = [p["kind"].get("const") for p in declared if "kind" in p]
+        if nested or part not in tags:
             parts.append(str(part))
     lower, upper = "", ""
     for candidate in candidates:

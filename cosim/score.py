@@ -102,8 +102,8 @@ class FilterScore:
         """Time, s from the start, after which the greatest RMS of these columns stays below a limit."""
         over = np.flatnonzero(~(self.rms[:, columns].max(axis=1) < limit))
         if len(over) == 0:
-            return float(self.time[0])
-        return float(self.time[over[-1] + 1]) if over[-1] + 1 < len(self.time) else None
+            return round(float(self.time[0]), 6)
+        return round(float(self.time[over[-1] + 1]), 6) if over[-1] + 1 < len(self.time) else None
 
 
 @dataclass

@@ -13,8 +13,8 @@ References
 .. [1] P. D. Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation
        Systems", 2nd ed., section 4.4.
 .. [2] IEEE Std 952-1997, annexes B and C.
-.. [3] C. Gao, G. Zhao, J. Lu, S. Pan, "In-flight alignment algorithm based on fleet wireless sensor
-       network", Table 1.
+.. [3] C. Gao, J. Lu, G. Zhao, S. Pan, "A Localization and In-flight Alignment Protocol for Airborne
+       SINS Based on Flight-vehicle Wireless Sensor Networks", Table 1.
 """
 
 from dataclasses import dataclass

@@ -43,7 +43,10 @@ def test_a_file_states_only_what_differs(tmp_path):
         ("", "title: missing"),
         (GOOD + "runs = 0", "runs = 0: allowed is [1, 1e+06]"),
         (GOOD + "extra = 1", "extra: unknown field"),
-        (GOOD + "[imu]\ngyro_bias_deg_h = -1.0", "imu.gyro_bias_deg_h = -1.0 deg/h: allowed is [0, 10000] deg/h"),
+        (
+            GOOD + "[imu]\ngyro_bias_deg_h = -1.0",
+            "imu.gyro_bias_deg_h = -1.0 deg/h: allowed is [0, 10000] deg/h",
+        ),
         (GOOD + "[imu]\nvibration_mps = nan", "imu.vibration_mps = nan m/s: allowed is [0, 10] m/s"),
         (GOOD + "[imu]\nvibration_mps = inf", "imu.vibration_mps = inf m/s: allowed is [0, 10] m/s"),
         (
@@ -58,9 +61,12 @@ def test_a_file_states_only_what_differs(tmp_path):
             GOOD + '[alignment]\nfilters = ["kalman"]',
             "alignment.filters = ['kalman']: no filter 'kalman'; known: ekf, ekf_stamped, l2linf",
         ),
-        (GOOD + "[alignment.settings]\ngate_probability = 1", "alignment.settings.gate_probability = 1: allowed is (0.5, 1)"),
+        (
+            GOOD + "[alignment.settings]\ngate_probability = 1",
+            "alignment.settings.gate_probability = 1: allowed is (0.5, 1)",
+        ),
     ],
-)  # fmt: skip
+)
 def test_mistakes_are_told_in_one_line(tmp_path, text, line):
     assert refused(tmp_path, text) == [line]
 
