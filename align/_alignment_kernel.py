@@ -48,6 +48,32 @@ def _initialize(X, P, time, increments, k, q_initial, lla, v_n, initial, sd, gra
             P[i, j] = sd[i] * sd[i] if i == j else 0.0
 
 
+def working_memory(n_fixes, kept):
+    """Arrays that `align` works in: state, kept states, bookkeeping of the fixes, and steps' own.
+
+    They are made here because array creation is slow to compile.
+    """
+    predicting = ((9, 15), (9, N_STATES), (3, 3), 6, 6, 3, N_STATES)
+    updating = ((6, N_STATES), (N_STATES, 6), (6, 6), (6, 6), (N_STATES, 6), (N_STATES, 6))
+    updating = (*updating, (N_STATES, N_STATES), N_STATES)
+    return (
+        np.zeros(17),
+        np.zeros((N_STATES, N_STATES)),
+        np.zeros((kept, 17)),
+        np.zeros((kept, N_STATES, N_STATES)),
+        np.zeros(n_fixes, np.int64),
+        np.zeros(n_fixes, np.int64),
+        np.zeros(n_fixes, np.bool_),
+        np.full(n_fixes, -1, np.int64),
+        np.zeros((3, 3)),
+        np.zeros(3),
+        np.zeros(6),
+        np.zeros(6),
+        tuple(np.zeros(shape) for shape in predicting),
+        tuple(np.zeros(shape) for shape in updating),
+    )
+
+
 @njit(**COMPILED)
 def _copy(X_from, P_from, X_to, P_to):
     """Copy state and covariance; loops compile much faster than array assignments."""
@@ -91,6 +117,7 @@ def align(
     gravity_model,
     output_epoch,
     outputs,
+    memory,
 ):
     """Run the filter over a record. Returns (started, stayed finite).
 
@@ -114,46 +141,19 @@ def align(
     output_epoch (m,) : epochs at which to write the outputs, increasing.
     outputs : tuple of X (m, 17), variances (m, 16), misalignment covariance (m, 3, 3), innovation (k, 6),
         nis (k,), fix time (k,); what is not reached keeps what it had.
+    memory : new `working_memory`.
     """
     fix_lla, fix_v_n, fix_cov, t_reference, arrival_epoch, reference_epoch, packet, source, sequence = fixes
     X_out, variance_out, misalignment_out, innovation_out, nis_out, fix_time_out = outputs
     n, n_fixes = len(time), len(arrival_epoch)
     stamped, estimated = delay_model == STAMPED, delay_model == ESTIMATED
-    X, P = np.zeros(17), np.zeros((N_STATES, N_STATES))
-    work = (
-        np.zeros((9, 15)),
-        np.zeros((9, N_STATES)),
-        np.zeros((3, 3)),
-        np.zeros(6),
-        np.zeros(6),
-        np.zeros(3),
-        np.zeros(N_STATES),
-    )
-    buffers = (
-        np.zeros((6, N_STATES)),
-        np.zeros((N_STATES, 6)),
-        np.zeros((6, 6)),
-        np.zeros((6, 6)),
-        np.zeros((N_STATES, 6)),
-        np.zeros((N_STATES, 6)),
-        np.zeros((N_STATES, N_STATES)),
-        np.zeros(N_STATES),
-    )
-    C, f_n, u, innovation = np.zeros((3, 3)), np.zeros(3), np.zeros(6), np.zeros(6)
-    kept = horizon + 1 if stamped else 1
-    X_kept, P_kept = np.zeros((kept, 17)), np.zeros((kept, N_STATES, N_STATES))
-    epoch, applied, n_applied = np.zeros(n_fixes, np.int64), np.zeros(n_fixes, np.int64), 0
-    seen, newest = np.zeros(n_fixes, np.bool_), np.full(n_fixes, -1, np.int64)
-    running, arriving, output = False, 0, 0
+    X, P, X_kept, P_kept, epoch, applied, seen, newest, C, f_n, u, innovation, work, buffers = memory
+    kept, n_applied = len(X_kept), 0
+    running, now, arriving, output = False, 0, 0, 0
 
     for k in range(n):
-        if running:
-            predict(X, P, time, increments, k, noise_density, gravity_model, work)
-            if stamped:
-                _copy(X, P, X_kept[k % kept], P_kept[k % kept])
-
         # Take in what has arrived, each fix at its place in the order of application.
-        back, restart = k + 1, False
+        back, restart = k, False
         while arriving < n_fixes and arrival_epoch[arriving] <= k:
             f = arriving
             arriving += 1
@@ -181,65 +181,66 @@ def align(
             restart = restart or place == 0
             back = min(back, epoch[f])
 
-        # Go back to the oldest of them, and forward again.
-        if back <= k:
-            first = n_applied
-            while first > 0 and epoch[applied[first - 1]] >= back:
-                first -= 1
-            if restart:
-                f = applied[0]
-                _initialize(
+        # Go back to the oldest of them, and forward again to the present.
+        first = n_applied
+        while first > 0 and epoch[applied[first - 1]] >= back:
+            first -= 1
+        if restart:
+            f, now = applied[0], back
+            _initialize(
+                X,
+                P,
+                time,
+                increments,
+                now,
+                q_initial,
+                fix_lla[f],
+                fix_v_n[f],
+                initial,
+                initial_sd,
+                gravity_model,
+                work,
+            )
+            running = True
+            _copy(X, P, X_kept[now % kept], P_kept[now % kept])
+        elif running and back < k:
+            now = back
+            _copy(X_kept[now % kept], P_kept[now % kept], X, P)
+        while running:
+            while first < n_applied and epoch[applied[first]] == now:
+                f = applied[first]
+                kinematics(X, time, increments, now, samples, gravity_model, C, f_n, u)
+                age = time[now] - t_reference[f] + (X[16] if estimated else 0.0)
+                nis, taken = update(
                     X,
                     P,
-                    time,
-                    increments,
-                    back,
-                    q_initial,
                     fix_lla[f],
                     fix_v_n[f],
-                    initial,
-                    initial_sd,
-                    gravity_model,
-                    work,
+                    fix_cov[f],
+                    vibration_variance,
+                    age,
+                    delay_sd,
+                    estimated,
+                    C,
+                    f_n,
+                    u,
+                    gate if first > 0 else math.inf,
+                    innovation,
+                    buffers,
                 )
-                running = True
-                if stamped:
-                    _copy(X, P, X_kept[back % kept], P_kept[back % kept])
-            elif back < k:
-                _copy(X_kept[back % kept], P_kept[back % kept], X, P)
-            for j in range(back, k + 1):
-                if j > back:
-                    predict(X, P, time, increments, j, noise_density, gravity_model, work)
-                    _copy(X, P, X_kept[j % kept], P_kept[j % kept])
-                while first < n_applied and epoch[applied[first]] == j:
-                    f = applied[first]
-                    kinematics(X, time, increments, j, samples, gravity_model, C, f_n, u)
-                    age = time[j] - t_reference[f] + (X[16] if estimated else 0.0)
-                    nis, taken = update(
-                        X,
-                        P,
-                        fix_lla[f],
-                        fix_v_n[f],
-                        fix_cov[f],
-                        vibration_variance,
-                        age,
-                        delay_sd,
-                        estimated,
-                        C,
-                        f_n,
-                        u,
-                        gate if first > 0 else math.inf,
-                        innovation,
-                        buffers,
-                    )
-                    outcome[f] = INITIALIZED if first == 0 else (FUSED if taken else GATED)
-                    for i in range(6):
-                        innovation_out[f, i] = innovation[i]
-                    nis_out[f] = nis
-                    fix_time_out[f] = time[j]
-                    first += 1
-            if not _meaningful(X, P):
-                return running, False
+                outcome[f] = INITIALIZED if first == 0 else (FUSED if taken else GATED)
+                for i in range(6):
+                    innovation_out[f, i] = innovation[i]
+                nis_out[f] = nis
+                fix_time_out[f] = time[now]
+                first += 1
+            if now == k:
+                break
+            now += 1
+            predict(X, P, time, increments, now, noise_density, gravity_model, work)
+            _copy(X, P, X_kept[now % kept], P_kept[now % kept])
+        if not _meaningful(X, P):
+            return running, False
 
         if running and output < len(output_epoch) and output_epoch[output] == k:
             for i in range(len(X)):

@@ -156,6 +156,7 @@ def align(
     m = len(output_epoch)
     X, variance, misalignment_cov = (np.full(shape, np.nan) for shape in ((m, 17), (m, N_STATES), (m, 3, 3)))
     innovation, nis, fix_time = (np.full(shape, np.nan) for shape in ((k, 6), (k,), (k,)))
+    horizon = round(settings.horizon_s / dt)
     initial = np.zeros(7)
     estimated = delay is DelayModel.ESTIMATED
     initial[6] = settings.delay_mean_ms * MILLISECOND if estimated else 0.0
@@ -183,11 +184,12 @@ def align(
         noise_density(imu),
         imu.vibration_mps**2,
         _gate(settings.gate_probability),
-        round(settings.horizon_s / dt),
+        horizon,
         max(1, round(settings.acceleration_window_s / dt)),
         int(gravity),
         output_epoch,
         (X, variance, misalignment_cov, innovation, nis, fix_time),
+        _alignment_kernel.working_memory(k, horizon + 1 if delay is DelayModel.STAMPED else 1),
     )
     ending = RunOutcome.ALIGNED if finite_to_the_end else RunOutcome.NOT_FINITE
     return Estimate(
