@@ -23,7 +23,6 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
-from scipy.stats import chi2
 
 from ..network.fixes import Fixes
 from ..sins.earth import GravityModel
@@ -39,6 +38,7 @@ from ..sins.units import (
     MILLISECOND,
 )
 from . import _alignment_kernel, _kernels
+from .consistency import chi_square_quantile
 from .estimate import Estimate, FixOutcome, RunOutcome
 from .measurement import DELAY, N_STATES
 
@@ -236,4 +236,4 @@ def _numbered(fixes: Fixes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 @cache
 def _gate(probability: float) -> float:
     """Largest NIS of a fix that passes; cached, since the quantile costs as much as a hundred samples."""
-    return float(chi2.ppf(probability, 6))
+    return float(chi_square_quantile(probability, 6))

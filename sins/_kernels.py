@@ -126,14 +126,15 @@ def advance(lla, v_n, q_nb, increment, previous, dt, gravity_model, f_n):
 
 
 @njit(**COMPILED)
-def mechanize(time, increments, gravity_model, lla, v_n, q_nb):
-    """Fill rows 1.. of ``lla``, ``v_n``, ``q_nb`` from row 0 and ``increments``, shape (n, 6)."""
+def mechanize(time, dtheta_b, dv_b, gravity_model, lla, v_n, q_nb):
+    """Fill rows 1.. of ``lla``, ``v_n``, ``q_nb`` from row 0 and the increments, (n, 3) each."""
     position, velocity, attitude = lla[0].copy(), v_n[0].copy(), q_nb[0].copy()
     increment, previous, f_n = np.zeros(6), np.zeros(6), np.empty(3)
     for k in range(1, len(time)):
         for i in range(6):
             previous[i] = increment[i]
-            increment[i] = increments[k, i]
+        for i in range(3):
+            increment[i], increment[3 + i] = dtheta_b[k, i], dv_b[k, i]
         advance(position, velocity, attitude, increment, previous, time[k] - time[k - 1], gravity_model, f_n)
         for i in range(3):
             lla[k, i], v_n[k, i] = position[i], velocity[i]

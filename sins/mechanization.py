@@ -97,9 +97,9 @@ def mechanize(
     History of n states.
     """
     time = np.ascontiguousarray(time, float)
-    increments = np.hstack([np.asarray(dtheta_b, float), np.asarray(dv_b, float)])
+    dtheta_b, dv_b = np.ascontiguousarray(dtheta_b, float), np.ascontiguousarray(dv_b, float)
     n = len(time)
     lla, v_n, q_nb = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 4))
     lla[0], v_n[0], q_nb[0] = initial.lla, initial.v_n, initial.q_nb
-    _kernels.mechanize(time, increments, int(gravity), lla, v_n, q_nb)
+    _kernels.mechanize(time, dtheta_b, dv_b, int(gravity), lla, v_n, q_nb)
     return NavigationState(lla, v_n, q_nb)

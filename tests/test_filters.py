@@ -205,9 +205,10 @@ def test_an_imu_sample_that_is_not_finite_never_reaches_the_state(record, delay,
 
 def test_no_usable_fix_is_an_outcome(record):
     _, _, fixes = record
-    estimate = run(record, replace(fixes, lla=np.full_like(fixes.lla, np.nan)))
-    assert estimate.outcome is RunOutcome.NO_FIX
-    assert np.isnan(estimate.lla).all()
+    for unusable in (replace(fixes, lla=np.full_like(fixes.lla, np.nan)), fixes[:0]):
+        estimate = run(record, unusable)
+        assert estimate.outcome is RunOutcome.NO_FIX
+        assert np.isnan(estimate.lla).all()
 
 
 def test_outliers_are_gated(record):
