@@ -27,6 +27,8 @@ class FixOutcome(IntEnum):
     """A NaN or an infinity in it."""
     FUTURE = 7
     """Stamped later than it arrived."""
+    BAD_COVARIANCE = 8
+    """Its covariance is not symmetric and positive definite."""
 
 
 class RunOutcome(IntEnum):

@@ -147,6 +147,7 @@ def align(
         finite = np.isfinite(values)
         if not finite.all():
             outcome[~finite.reshape(k, -1).all(axis=1)] = FixOutcome.NOT_FINITE
+    outcome[(outcome == FixOutcome.PENDING) & ~_are_covariances(fixes.cov)] = FixOutcome.BAD_COVARIANCE
     arrival_epoch = np.searchsorted(time, fixes.t_arrival)
     reference_epoch = np.minimum(np.searchsorted(time, reference), arrival_epoch)
     source, packet = _numbered(fixes)
@@ -220,6 +221,21 @@ def _finite_increments(increments: Array) -> tuple[Array, int]:
     last_good = np.maximum.accumulate(np.where(bad, -1, np.arange(len(increments))))
     increments = np.where((last_good < 0)[:, None], 0.0, increments[last_good])
     return np.ascontiguousarray(increments), int(np.count_nonzero(bad))
+
+
+def _are_covariances(cov: Array) -> NDArray[np.bool_]:
+    """Which of the matrices, (k, 6, 6), are symmetric and positive definite."""
+    if len(cov) > 1 and np.array_equal(cov, np.broadcast_to(cov[0], cov.shape)):
+        # The usual case: one noise for all fixes.
+        return np.repeat(_are_covariances(cov[:1]), len(cov))
+    finite = np.isfinite(cov).all(axis=(1, 2))
+    cov = np.where(finite[:, None, None], cov, np.eye(6))
+    scale = np.sqrt(np.abs(np.einsum("kii->ki", cov)))
+    asymmetry = np.abs(cov - cov.swapaxes(1, 2)).max(axis=(1, 2)) if len(cov) else np.zeros(0)
+    symmetric = asymmetry <= 1e-9 * scale.max(axis=1, initial=0.0) ** 2
+    # Scaled to unit diagonal, or metres would hide what is wrong in metres per second.
+    scaled = cov / np.maximum(scale[:, :, None] * scale[:, None, :], 1e-300)
+    return finite & symmetric & (np.linalg.eigvalsh(scaled).min(axis=1, initial=np.inf) > 1e-12)
 
 
 def _numbered(fixes: Fixes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

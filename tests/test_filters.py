@@ -191,6 +191,25 @@ def test_a_fix_that_is_not_finite_never_reaches_the_state(record, delay, field, 
 
 
 @pytest.mark.parametrize("delay", list(DelayModel))
+@pytest.mark.parametrize("kind", ["zero", "negative", "indefinite", "skewed"])
+def test_a_fix_without_a_proper_covariance_is_not_fused(record, delay, kind):
+    _, _, fixes = record
+    cov = fixes.cov.copy()
+    if kind == "zero":
+        cov[30, 3:, 3:] = 0
+    elif kind == "negative":
+        cov[30, 4, 4] *= -1
+    elif kind == "indefinite":
+        cov[30, 3, 4] = cov[30, 4, 3] = 1.5 * cov[30, 3, 3]
+    else:
+        cov[30, 0, 1] = 0.5 * cov[30, 0, 0]
+    estimate = run(record, replace(fixes, cov=cov), delay=delay)
+    assert estimate.fix_outcome[30] == FixOutcome.BAD_COVARIANCE
+    kept = np.arange(len(fixes)) != 30
+    assert_ends_alike(estimate, run(record, fixes[kept], delay=delay))
+
+
+@pytest.mark.parametrize("delay", list(DelayModel))
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_an_imu_sample_that_is_not_finite_never_reaches_the_state(record, delay, value):
     imu, _, _ = record
