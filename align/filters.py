@@ -228,8 +228,8 @@ def _are_covariances(cov: Array) -> NDArray[np.bool_]:
     if len(cov) > 1 and np.array_equal(cov, np.broadcast_to(cov[0], cov.shape)):
         # The usual case: one noise for all fixes.
         return np.repeat(_are_covariances(cov[:1]), len(cov))
-    finite = np.isfinite(cov).all(axis=(1, 2))
-    cov = np.where(finite[:, None, None], cov, np.eye(6))
+    finite = np.isfinite(cov.reshape(len(cov), 36)).all(axis=1)
+    cov = np.where(finite.reshape(-1, 1, 1), cov, np.eye(6))
     scale = np.sqrt(np.abs(np.einsum("kii->ki", cov)))
     asymmetry = np.abs(cov - cov.swapaxes(1, 2)).max(axis=(1, 2)) if len(cov) else np.zeros(0)
     symmetric = asymmetry <= 1e-9 * scale.max(axis=1, initial=0.0) ** 2
