@@ -39,8 +39,9 @@ from ..sins.units import (
 )
 from . import _alignment_kernel, _kernels
 from .consistency import chi_square_quantile
-from .estimate import Estimate, FixOutcome, RunOutcome
+from .estimate import Estimate, RunOutcome
 from .measurement import DELAY, N_STATES
+from .reception import finite_increments, received
 
 Array = NDArray[np.float64]
 
@@ -131,26 +132,17 @@ def align(
     -------
     Estimate at ``output_rate_hz`` and at the end. Samples and fixes that are not finite never enter the
     state: such a sample is replaced by the last good one, such a fix is left out, and both are counted.
+
+    Raises ValueError unless ``time`` increases over two rows or more.
     """
     time = np.ascontiguousarray(time, float)
-    increments, held = _finite_increments(np.hstack([np.asarray(dtheta_b, float), np.asarray(dv_b, float)]))
+    if len(time) < 2 or not (np.diff(time) > 0).all():
+        raise ValueError("time must increase, over two rows or more")
+    increments, held = finite_increments(np.hstack([np.asarray(dtheta_b, float), np.asarray(dv_b, float)]))
     fixes = fixes.sorted_by_arrival()
+    outcome, reception = received(time, fixes, by_stamp=delay is DelayModel.STAMPED)
     n, k = len(time), len(fixes)
     dt = (time[-1] - time[0]) / (n - 1)
-
-    reference = fixes.t_stamp if delay is DelayModel.STAMPED else fixes.t_arrival
-    outcome = np.full(k, FixOutcome.PENDING, dtype=np.int64)
-    if delay is DelayModel.STAMPED:
-        outcome[fixes.t_stamp > fixes.t_arrival + dt] = FixOutcome.FUTURE
-        outcome[fixes.t_stamp < time[0]] = FixOutcome.LATE
-    for values in (fixes.lla, fixes.v_n, fixes.cov):
-        finite = np.isfinite(values)
-        if not finite.all():
-            outcome[~finite.reshape(k, -1).all(axis=1)] = FixOutcome.NOT_FINITE
-    outcome[(outcome == FixOutcome.PENDING) & ~_are_covariances(fixes.cov)] = FixOutcome.BAD_COVARIANCE
-    arrival_epoch = np.searchsorted(time, fixes.t_arrival)
-    reference_epoch = np.minimum(np.searchsorted(time, reference), arrival_epoch)
-    source, packet = _numbered(fixes)
 
     every = max(1, round(1 / (settings.output_rate_hz * dt)))
     output_epoch = np.unique(np.append(np.arange(every, n, every), n - 1))
@@ -166,17 +158,7 @@ def align(
         time,
         increments,
         np.array(q_nb_coarse, float),
-        (
-            fixes.lla,
-            fixes.v_n,
-            fixes.cov,
-            reference,
-            arrival_epoch,
-            reference_epoch,
-            packet,
-            source,
-            fixes.sequence,
-        ),
+        reception,
         outcome,
         int(delay),
         settings.delay_sd_ms * MILLISECOND if estimated else 0.0,
@@ -210,43 +192,6 @@ def align(
         held_imu_samples=held,
         outcome=ending if started else RunOutcome.NO_FIX,
     )
-
-
-def _finite_increments(increments: Array) -> tuple[Array, int]:
-    """Replace rows that are not finite by the last good row (zero at the very start); count them."""
-    finite = np.isfinite(increments)
-    if finite.all():
-        return increments, 0
-    bad = ~finite.all(axis=1)
-    last_good = np.maximum.accumulate(np.where(bad, -1, np.arange(len(increments))))
-    increments = np.where((last_good < 0)[:, None], 0.0, increments[last_good])
-    return np.ascontiguousarray(increments), int(np.count_nonzero(bad))
-
-
-def _are_covariances(cov: Array) -> NDArray[np.bool_]:
-    """Which of the matrices, (k, 6, 6), are symmetric and positive definite."""
-    if len(cov) > 1 and np.array_equal(cov, np.broadcast_to(cov[0], cov.shape)):
-        # The usual case: one noise for all fixes.
-        return np.repeat(_are_covariances(cov[:1]), len(cov))
-    finite = np.isfinite(cov.reshape(len(cov), 36)).all(axis=1)
-    cov = np.where(finite.reshape(-1, 1, 1), cov, np.eye(6))
-    scale = np.sqrt(np.abs(np.einsum("kii->ki", cov)))
-    asymmetry = np.abs(cov - cov.swapaxes(1, 2)).max(axis=(1, 2)) if len(cov) else np.zeros(0)
-    symmetric = asymmetry <= 1e-9 * scale.max(axis=1, initial=0.0) ** 2
-    # Scaled to unit diagonal, or metres would hide what is wrong in metres per second.
-    scaled = cov / np.maximum(scale[:, :, None] * scale[:, None, :], 1e-300)
-    return finite & symmetric & (np.linalg.eigvalsh(scaled).min(axis=1, initial=np.inf) > 1e-12)
-
-
-def _numbered(fixes: Fixes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Source and packet of each fix, (k,), counted from 0 in order of source and of (source, sequence)."""
-    order = np.lexsort((fixes.sequence, fixes.source))
-    by_source, by_sequence = fixes.source[order], fixes.sequence[order]
-    new_source = by_source[1:] != by_source[:-1]
-    new_packet = new_source | (by_sequence[1:] != by_sequence[:-1])
-    source, packet = np.zeros(len(fixes), np.int64), np.zeros(len(fixes), np.int64)
-    source[order[1:]], packet[order[1:]] = np.cumsum(new_source), np.cumsum(new_packet)
-    return source, packet
 
 
 @cache

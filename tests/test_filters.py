@@ -230,6 +230,15 @@ def test_no_usable_fix_is_an_outcome(record):
         assert np.isnan(estimate.lla).all()
 
 
+@pytest.mark.parametrize("time", [[0.0], [0.0, 1.0, 1.0], [0.0, np.nan, 2.0]])
+def test_time_must_increase(record, time):
+    zero = np.zeros((len(time), 3))
+    with pytest.raises(ValueError, match="time must increase"):
+        align(
+            time, zero, zero, [1, 0, 0, 0], record[2], DelayModel.IGNORED, SETTINGS, ERRORS, GravityModel.J2
+        )
+
+
 def test_outliers_are_gated(record):
     _, _, fixes = record
     rng = np.random.default_rng(6)
