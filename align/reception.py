@@ -1,4 +1,4 @@
-"""What reaches a filter: increments and fixes, checked, and the epochs of the record that a fix belongs to."""
+"""What reaches a filter: increments and fixes, checked, and the epochs of the record they belong to."""
 
 import numpy as np
 from numpy.typing import NDArray
