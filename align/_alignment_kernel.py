@@ -17,7 +17,9 @@ from ._kernels import (
     INITIALIZED,
     LATE,
     N_STATES,
+    N_X,
     PENDING,
+    REFUSED,
     STAMPED,
     kinematics,
     predict,
@@ -26,8 +28,24 @@ from ._kernels import (
 
 
 @njit(**COMPILED)
-def _initialize(X, P, time, increments, k, q_initial, lla, v_n, initial, sd, gravity_model, work):
-    """Start at epoch k: position and velocity of a fix, attitude carried there from epoch 0 by the gyros."""
+def _start(X, P, lla, v_n, cov, initial, sd):
+    """Take position and velocity from a fix, biases and delay as they were first; forget all correlations."""
+    for i in range(3):
+        X[i], X[3 + i] = lla[i], v_n[i]
+    for i in range(7):
+        X[10 + i] = initial[i]
+    X[REFUSED] = 0.0
+    for i in range(N_STATES):
+        for j in range(N_STATES):
+            P[i, j] = sd[i] * sd[i] if i == j else 0.0
+    for i in range(6):
+        # Diffuse against this fix, however bad it is.
+        P[i, i] = max(P[i, i], 1e4 * cov[i, i])
+
+
+@njit(**COMPILED)
+def _carry_attitude(X, time, increments, k, q_initial, lla, v_n, gravity_model, work):
+    """Attitude at epoch k, from epoch 0 by the gyros, at a position and velocity that are held."""
     increment, previous, f_n = work[3], work[4], work[5]
     for i in range(4):
         X[6 + i] = q_initial[i]
@@ -39,13 +57,6 @@ def _initialize(X, P, time, increments, k, q_initial, lla, v_n, initial, sd, gra
             previous[i] = increments[j - 1, i] if j > 1 else 0.0
         dt = time[j] - time[j - 1]
         advance(X[0:3], X[3:6], X[6:10], increment, previous, dt, gravity_model, f_n)
-    for i in range(3):
-        X[i], X[3 + i] = lla[i], v_n[i]
-    for i in range(7):
-        X[10 + i] = initial[i]
-    for i in range(N_STATES):
-        for j in range(N_STATES):
-            P[i, j] = sd[i] * sd[i] if i == j else 0.0
 
 
 def working_memory(n_fixes, kept):
@@ -57,9 +68,9 @@ def working_memory(n_fixes, kept):
     updating = ((6, N_STATES), (N_STATES, 6), (6, 6), (6, 6), (N_STATES, 6), (N_STATES, 6))
     updating = (*updating, (N_STATES, N_STATES), N_STATES)
     return (
-        np.zeros(17),
+        np.zeros(N_X),
         np.zeros((N_STATES, N_STATES)),
-        np.zeros((kept, 17)),
+        np.zeros((kept, N_X)),
         np.zeros((kept, N_STATES, N_STATES)),
         np.zeros(n_fixes, np.int64),
         np.zeros(n_fixes, np.int64),
@@ -102,6 +113,7 @@ def _meaningful(X, P):
 def align(
     time,
     increments,
+    gap_variance,
     q_initial,
     fixes,
     outcome,
@@ -112,6 +124,7 @@ def align(
     noise_density,
     vibration_variance,
     gate,
+    patience,
     horizon,
     samples,
     gravity_model,
@@ -129,7 +142,7 @@ def align(
 
     Parameters (n epochs, k fixes, m outputs)
     ----------
-    time (n,), increments (n, 6) : record, as in `sins.mechanization`.
+    time (n,), increments (n, 6) : record, as in `sins.mechanization`. gap_variance (n, 2) : see `predict`.
     q_initial (4,) : coarse attitude at epoch 0.
     fixes : tuple of lla (k, 3), v_n (k, 3), cov (k, 6, 6), t_reference (k,) that a fix's age counts from
         (its stamp or its arrival), arrival epoch (k,), reference epoch (k,), packet (k,) one number per
@@ -137,9 +150,10 @@ def align(
     outcome (k,) : PENDING, or the reason for which a fix must not be used; is filled.
     initial (7,), initial_sd (16,) : biases and delay at the start; standard deviations at the start.
     noise_density (16,) : power spectral densities of the white noises on the states.
-    gate : largest NIS to accept. horizon : epochs. samples : intervals to average the specific force over.
+    gate : largest NIS to accept. patience : fixes refused in a row before starting again.
+    horizon : epochs. samples : intervals to average the specific force over.
     output_epoch (m,) : epochs at which to write the outputs, increasing.
-    outputs : tuple of X (m, 17), variances (m, 16), misalignment covariance (m, 3, 3), innovation (k, 6),
+    outputs : tuple of X (m, 18), variances (m, 16), misalignment covariance (m, 3, 3), innovation (k, 6),
         nis (k,), fix time (k,); what is not reached keeps what it had.
     memory : new `working_memory`.
     """
@@ -187,20 +201,8 @@ def align(
             first -= 1
         if restart:
             f, now = applied[0], back
-            _initialize(
-                X,
-                P,
-                time,
-                increments,
-                now,
-                q_initial,
-                fix_lla[f],
-                fix_v_n[f],
-                initial,
-                initial_sd,
-                gravity_model,
-                work,
-            )
+            _carry_attitude(X, time, increments, now, q_initial, fix_lla[f], fix_v_n[f], gravity_model, work)
+            _start(X, P, fix_lla[f], fix_v_n[f], fix_cov[f], initial, initial_sd)
             running = True
             _copy(X, P, X_kept[now % kept], P_kept[now % kept])
         elif running and back < k:
@@ -209,6 +211,9 @@ def align(
         while running:
             while first < n_applied and epoch[applied[first]] == now:
                 f = applied[first]
+                starting = first == 0 or X[REFUSED] >= patience
+                if starting and first > 0:
+                    _start(X, P, fix_lla[f], fix_v_n[f], fix_cov[f], initial, initial_sd)
                 kinematics(X, time, increments, now, samples, gravity_model, C, f_n, u)
                 age = time[now] - t_reference[f] + (X[16] if estimated else 0.0)
                 nis, taken = update(
@@ -224,11 +229,12 @@ def align(
                     C,
                     f_n,
                     u,
-                    gate if first > 0 else math.inf,
+                    math.inf if starting else gate,
                     innovation,
                     buffers,
                 )
-                outcome[f] = INITIALIZED if first == 0 else (FUSED if taken else GATED)
+                X[REFUSED] = 0.0 if taken else X[REFUSED] + 1
+                outcome[f] = (INITIALIZED if starting else FUSED) if taken else GATED
                 for i in range(6):
                     innovation_out[f, i] = innovation[i]
                 nis_out[f] = nis
@@ -237,7 +243,7 @@ def align(
             if now == k:
                 break
             now += 1
-            predict(X, P, time, increments, now, noise_density, gravity_model, work)
+            predict(X, P, time, increments, gap_variance, now, noise_density, gravity_model, work)
             _copy(X, P, X_kept[now % kept], P_kept[now % kept])
         if not _meaningful(X, P):
             return running, False

@@ -1,8 +1,9 @@
 """Compiled closed-loop error-state filter over one record of increments and fixes.
 
-State vector ``X``, shape (17,): lla 0:3, v_n 3:6, q_nb 6:10, accelerometer bias 10:13, gyro bias
-13:16, mean delay 16. Error state, shape (16,): the fifteen of `sins.error_model` and the delay's
-error. The readable twins of `kinematics` and `update` stand in `align.measurement`.
+State vector ``X``, shape (18,): lla 0:3, v_n 3:6, q_nb 6:10, accelerometer bias 10:13, gyro bias
+13:16, mean delay 16, number of fixes refused in a row 17. Error state, shape (16,): the fifteen of
+`sins.error_model` and the delay's error. The readable twins of `kinematics` and `update` stand in
+`align.measurement`.
 """
 
 import math
@@ -19,17 +20,19 @@ from ..sins._kernels import (
 )
 from ..sins.earth import EARTH_RATE, gravity, radii_of_curvature, transport_rate_n
 
-N_STATES = 16
+N_STATES, N_X = 16, 18
 DELAY = 15
+REFUSED = 17
 IGNORED, STAMPED, ESTIMATED = 0, 1, 2
 PENDING, FUSED, INITIALIZED, GATED, DUPLICATE, LATE, NOT_FINITE, FUTURE = range(8)
 
 
 @njit(**COMPILED)
-def predict(X, P, time, increments, k, noise_density, gravity_model, work):
+def predict(X, P, time, increments, gap_variance, k, noise_density, gravity_model, work):
     """Carry state and covariance from epoch k - 1 to epoch k.
 
-    ``noise_density``, shape (16,), are the power spectral densities of the white noises on the states.
+    ``noise_density``, shape (16,), are the power spectral densities of the white noises on the states;
+    ``gap_variance``, shape (n, 2), what missing samples add to the variances of velocity and misalignment.
     """
     Phi, W, C, increment, previous, f_n, noise = work
     dt = time[k] - time[k - 1]
@@ -43,6 +46,9 @@ def predict(X, P, time, increments, k, noise_density, gravity_model, work):
     fill_transition(X[0:3], X[3:6], f_n, C, dt, Phi)
     for i in range(N_STATES):
         noise[i] = noise_density[i] * dt
+    for i in range(3):
+        noise[3 + i] += gap_variance[k, 0]
+        noise[6 + i] += gap_variance[k, 1]
     predict_covariance(P, Phi, noise, W)
 
 
@@ -108,7 +114,9 @@ def update(
     H, PHt, S, R, K, M, AP, x = buffers
     R_N, R_E = radii_of_curvature(X[0])
     innovation[0] = (X[0] - lla[0]) * (R_N + X[2]) - age * u[0]
-    innovation[1] = (X[1] - lla[1]) * (R_E + X[2]) * math.cos(X[0]) - age * u[1]
+    east = X[1] - lla[1]
+    east -= 2 * math.pi * round(east / (2 * math.pi))  # the date line may lie between
+    innovation[1] = east * (R_E + X[2]) * math.cos(X[0]) - age * u[1]
     innovation[2] = lla[2] - X[2] - age * u[2]
     for i in range(3):
         innovation[3 + i] = X[3 + i] - age * u[3 + i] - v_n[i]

@@ -13,10 +13,10 @@ class FixOutcome(IntEnum):
     """What became of one received fix."""
 
     PENDING = 0
-    """Arrived after the end of the record."""
+    """Arrived after the end of the record, or after the run was stopped."""
     FUSED = 1
     INITIALIZED = 2
-    """Started the navigation: position and velocity were taken from it."""
+    """Started the navigation, or started it again: position and velocity were taken from it."""
     GATED = 3
     """Its innovation lay outside the gate."""
     DUPLICATE = 4
@@ -27,8 +27,8 @@ class FixOutcome(IntEnum):
     """A NaN or an infinity in it."""
     FUTURE = 7
     """Stamped later than it arrived."""
-    BAD_COVARIANCE = 8
-    """Its covariance is not symmetric and positive definite."""
+    INVALID = 8
+    """No fix: latitude beyond a pole, or a covariance that is not symmetric and positive definite."""
 
 
 class RunOutcome(IntEnum):

@@ -28,6 +28,7 @@ from ..network.fixes import Fixes
 from ..sins.earth import GravityModel
 from ..sins.error_model import ACCEL, GYRO, MISALIGN, POSITION, VELOCITY
 from ..sins.imu import ImuErrors
+from ..sins.mechanization import checked_record
 from ..sins.settings import Settings
 from ..sins.units import (
     DEG,
@@ -47,7 +48,7 @@ Array = NDArray[np.float64]
 
 DIFFUSE_POSITION_M = 1e3
 DIFFUSE_VELOCITY_MPS = 1e2
-"""Standard deviations before the first fix: so large that the fix alone decides."""
+"""Least standard deviations before the first fix; at any rate 100 times the fix's own: it alone decides."""
 
 
 class DelayModel(IntEnum):
@@ -73,8 +74,12 @@ class FilterSettings(Settings):
     """Prior of the mean delay that ``l2linf`` estimates."""
     delay_sd_ms: float = Field(default=14.4, ge=0, le=10_000)
     """Random part of the delay that ``l2linf`` allows for: 50 ms / sqrt(12) for U[0, 50] ms."""
+    stamp_sd_ms: float = Field(default=0.0, ge=0, le=10_000)
+    """Random part of the stamps that ``ekf_stamped`` allows for."""
     gate_probability: float = Field(default=0.99999, gt=0.5, lt=1)
     """Probability with which a good fix passes the innovation gate."""
+    restart_after_gated: int = Field(default=20, ge=2, le=100_000)
+    """So many fixes refused in a row mean that the filter is wrong and not the fixes: it starts again."""
     horizon_s: float = Field(default=2.0, ge=0, le=60)
     """How far back a stamped fix may reach."""
     acceleration_window_s: float = Field(default=0.1, gt=0, le=2)
@@ -125,54 +130,61 @@ def align(
     ----------
     time : (n,) s, increasing. dtheta_b, dv_b : (n, 3) rad and m/s over the interval that ends at ``time``.
     q_nb_coarse : (4,) attitude at ``time[0]``, wrong by the initial misalignment.
-    fixes : in any order; taken by arrival. The first one starts position and velocity.
+    fixes : in any order; taken by arrival. The first one starts position and velocity; after
+        ``restart_after_gated`` refused ones in a row the next one does so again, with the attitude of then
+        and the uncertainty of the start.
     delay : how to treat delays. imu : error budget that the filter is told. gravity : model to navigate with.
 
     Returns
     -------
     Estimate at ``output_rate_hz`` and at the end. Samples and fixes that are not finite never enter the
-    state: such a sample is replaced by the last good one, such a fix is left out, and both are counted.
+    state: such a sample is replaced, at a cost to the covariance, such a fix is left out; both are counted.
 
-    Raises ValueError unless ``time`` increases over two rows or more.
+    Raises ValueError for arrays that do not make up a record (`mechanization.checked_record`) or an
+    attitude that is no unit quaternion.
     """
-    time = np.ascontiguousarray(time, float)
-    if len(time) < 2 or not (np.diff(time) > 0).all():
-        raise ValueError("time must increase, over two rows or more")
-    increments, held = finite_increments(np.hstack([np.asarray(dtheta_b, float), np.asarray(dv_b, float)]))
-    fixes = fixes.sorted_by_arrival()
-    outcome, reception = received(time, fixes, by_stamp=delay is DelayModel.STAMPED)
+    time, dtheta_b, dv_b = checked_record(time, dtheta_b, dv_b)
+    q_nb_coarse = np.array(q_nb_coarse, float)
+    if q_nb_coarse.shape != (4,) or not abs(np.linalg.norm(q_nb_coarse) - 1) < 1e-6:
+        raise ValueError(f"q_nb_coarse must be a unit quaternion, not {q_nb_coarse}")
     n, k = len(time), len(fixes)
     dt = (time[-1] - time[0]) / (n - 1)
+    stamped, estimated = delay is DelayModel.STAMPED, delay is DelayModel.ESTIMATED
+    delay_sd_ms = settings.stamp_sd_ms * stamped + settings.delay_sd_ms * estimated
+    increments, gap_variance, held = finite_increments(np.hstack([dtheta_b, dv_b]), dt)
+    fixes = fixes.sorted_by_arrival()
+    outcome, reception = received(time, fixes, stamped, settings.stamp_sd_ms * MILLISECOND)
 
     every = max(1, round(1 / (settings.output_rate_hz * dt)))
     output_epoch = np.unique(np.append(np.arange(every, n, every), n - 1))
     m = len(output_epoch)
-    X, variance, misalignment_cov = (np.full(shape, np.nan) for shape in ((m, 17), (m, N_STATES), (m, 3, 3)))
+    X, variance, misalignment_cov = (np.full(shape, np.nan) for shape in ((m, 18), (m, N_STATES), (m, 3, 3)))
     innovation, nis, fix_time = (np.full(shape, np.nan) for shape in ((k, 6), (k,), (k,)))
     horizon = round(settings.horizon_s / dt)
     initial = np.zeros(7)
-    estimated = delay is DelayModel.ESTIMATED
     initial[6] = settings.delay_mean_ms * MILLISECOND if estimated else 0.0
 
     started, finite_to_the_end = _alignment_kernel.align(
         time,
         increments,
-        np.array(q_nb_coarse, float),
+        gap_variance,
+        q_nb_coarse,
         reception,
         outcome,
         int(delay),
-        settings.delay_sd_ms * MILLISECOND if estimated else 0.0,
+        delay_sd_ms * MILLISECOND,
         initial,
         initial_sd(settings, imu, delay),
         noise_density(imu),
         imu.vibration_mps**2,
         _gate(settings.gate_probability),
+        settings.restart_after_gated,
         horizon,
         max(1, round(settings.acceleration_window_s / dt)),
         int(gravity),
         output_epoch,
         (X, variance, misalignment_cov, innovation, nis, fix_time),
-        _alignment_kernel.working_memory(k, horizon + 1 if delay is DelayModel.STAMPED else 1),
+        _alignment_kernel.working_memory(k, horizon + 1 if stamped else 1),
     )
     ending = RunOutcome.ALIGNED if finite_to_the_end else RunOutcome.NOT_FINITE
     return Estimate(

@@ -8,36 +8,58 @@ from .estimate import Array, FixOutcome
 
 Integers = NDArray[np.int64]
 
-
-def finite_increments(increments: Array) -> tuple[Array, int]:
-    """Replace rows that are not finite by the last good row (zero at the very start); count them."""
-    finite = np.isfinite(increments)
-    if finite.all():
-        return increments, 0
-    bad = ~finite.all(axis=1)
-    last_good = np.maximum.accumulate(np.where(bad, -1, np.arange(len(increments))))
-    increments = np.where((last_good < 0)[:, None], 0.0, increments[last_good])
-    return np.ascontiguousarray(increments), int(np.count_nonzero(bad))
+HOLD_WINDOW = 10
+"""Samples whose mean stands in for a sample that is not finite: fewer would hold on to vibration."""
+HELD = 10.0, 0.5
+"""Standard deviations of jerk, m/s^3, and angular acceleration, rad/s^2, meanwhile: a brisk manoeuvre's."""
 
 
-def received(time: Array, fixes: Fixes, by_stamp: bool) -> tuple[Integers, tuple[Array | Integers, ...]]:
+def finite_increments(increments: Array, dt: float) -> tuple[Array, Array, int]:
+    """Replace rows that are not finite, and say what that costs.
+
+    Parameters: ``increments`` (n, 6), ``dt`` s. Returns the increments, with the mean of the
+    rows before each gap in its place (zero at the very start); the variances (n, 2) of velocity,
+    (m/s)^2, and misalignment, rad^2, that the replacements add; and the number of rows replaced.
+
+    A rate that is held for a time t is wrong by what the vehicle does in it: the angle by ``a t^2 / 2``
+    for an angular acceleration ``a``, and the velocity likewise by the jerk.
+    """
+    variance = np.zeros((len(increments), 2))
+    bad = np.flatnonzero(~np.isfinite(increments).all(axis=1))
+    if len(bad) == 0:
+        return increments, variance, 0
+    increments = increments.copy()
+    for gap in np.split(bad, np.flatnonzero(np.diff(bad) > 1) + 1):
+        first, end = gap[0], gap[-1] + 1
+        before = increments[max(first - HOLD_WINDOW, 0) : first]
+        increments[first:end] = before.mean(axis=0) if first else 0.0
+        held_s = dt * np.arange(len(gap) + 1)[:, None]
+        variance[first:end] = np.diff((0.5 * np.array(HELD) * held_s**2) ** 2, axis=0)
+    return increments, variance, len(bad)
+
+
+def received(
+    time: Array, fixes: Fixes, by_stamp: bool, stamp_sd: float
+) -> tuple[Integers, tuple[Array | Integers, ...]]:
     """Outcome so far, (k,), of fixes in order of arrival, and the tuple that `_alignment_kernel.align` takes.
 
-    Parameters: ``time`` (n,) s, of the record; ``by_stamp``, whether a fix counts from its stamp or from its
-    arrival. A fix that must not be used has the reason for its outcome, the others are PENDING.
+    Parameters: ``time`` (n,) s, of the record; ``by_stamp``, whether a fix counts from its stamp, of standard
+    deviation ``stamp_sd`` s, or from its arrival. A fix that must not be used has the reason for its
+    outcome, the others are PENDING.
     """
     k = len(fixes)
     dt = (time[-1] - time[0]) / (len(time) - 1)
     reference = fixes.t_stamp if by_stamp else fixes.t_arrival
     outcome = np.full(k, FixOutcome.PENDING, dtype=np.int64)
+    outcome[reference < time[0]] = FixOutcome.LATE
     if by_stamp:
-        outcome[fixes.t_stamp > fixes.t_arrival + dt] = FixOutcome.FUTURE
-        outcome[fixes.t_stamp < time[0]] = FixOutcome.LATE
+        outcome[fixes.t_stamp > fixes.t_arrival + dt + 5 * stamp_sd] = FixOutcome.FUTURE
     for values in (fixes.lla, fixes.v_n, fixes.cov):
         finite = np.isfinite(values)
         if not finite.all():
             outcome[~finite.reshape(k, -1).all(axis=1)] = FixOutcome.NOT_FINITE
-    outcome[(outcome == FixOutcome.PENDING) & ~_are_covariances(fixes.cov)] = FixOutcome.BAD_COVARIANCE
+    invalid = ~_are_covariances(fixes.cov) | (np.abs(fixes.lla[:, 0]) > np.pi / 2)
+    outcome[(outcome == FixOutcome.PENDING) & invalid] = FixOutcome.INVALID
     arrival_epoch = np.searchsorted(time, fixes.t_arrival)
     reference_epoch = np.minimum(np.searchsorted(time, reference), arrival_epoch)
     source, packet = _numbered(fixes)

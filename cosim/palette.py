@@ -22,7 +22,7 @@ OUTCOME_COLORS = {
     FixOutcome.LATE: "#CC79A7",
     FixOutcome.NOT_FINITE: "#A00000",
     FixOutcome.FUTURE: "#7F6BD6",
-    FixOutcome.BAD_COVARIANCE: "#8A5A3B",
+    FixOutcome.INVALID: "#8A5A3B",
 }
 
 

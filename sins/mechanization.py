@@ -82,6 +82,21 @@ def step(
     return NavigationState(lla, v_n, q_nb / np.linalg.norm(q_nb))
 
 
+def checked_record(time: ArrayLike, dtheta_b: ArrayLike, dv_b: ArrayLike) -> tuple[Array, Array, Array]:
+    """The three as contiguous float64 arrays, (n,), (n, 3), (n, 3).
+
+    Raises ValueError for other shapes, fewer than two rows, and a time that does not increase.
+    """
+    time, dtheta_b, dv_b = (np.ascontiguousarray(a, float) for a in (time, dtheta_b, dv_b))
+    n = len(time)
+    if time.shape != (n,) or dtheta_b.shape != (n, 3) or dv_b.shape != (n, 3):
+        shapes = f"{time.shape}, {dtheta_b.shape} and {dv_b.shape}"
+        raise ValueError(f"time, dtheta_b and dv_b must be (n,), (n, 3) and (n, 3), not {shapes}")
+    if n < 2 or not (np.diff(time) > 0).all():
+        raise ValueError("time must increase, over two rows or more")
+    return time, dtheta_b, dv_b
+
+
 def mechanize(
     time: ArrayLike, dtheta_b: ArrayLike, dv_b: ArrayLike, initial: NavigationState, gravity: GravityModel
 ) -> NavigationState:
@@ -94,10 +109,9 @@ def mechanize(
 
     Returns
     -------
-    History of n states.
+    History of n states. Raises ValueError as `checked_record` does.
     """
-    time = np.ascontiguousarray(time, float)
-    dtheta_b, dv_b = np.ascontiguousarray(dtheta_b, float), np.ascontiguousarray(dv_b, float)
+    time, dtheta_b, dv_b = checked_record(time, dtheta_b, dv_b)
     n = len(time)
     lla, v_n, q_nb = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 4))
     lla[0], v_n[0], q_nb[0] = initial.lla, initial.v_n, initial.q_nb
