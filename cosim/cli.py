@@ -53,6 +53,8 @@ def main() -> None:
         status = 1
     except (InputError, ScenarioError, FlightError) as error:
         status = _refuse(str(error))
+        if isinstance(error, FlightError) and error.phase == "preparation":
+            status = 1  # JSBSim or its models are at fault, not the plan.
     sys.exit(status or 0)
 
 
@@ -77,7 +79,7 @@ def run(
     as_json: AsJson = False,
 ) -> None:
     """Fly a scenario, align on it many times, and write summary, estimates, recording and report."""
-    from .outputs import EstimatesWriter, manifest, summarize, write_json
+    from .outputs import estimates_writer, manifest, summarize, write_json
     from .recording import write_recording
     from .report import write_report
     from .run import alignment_window, bound_of, simulate_all
@@ -97,7 +99,7 @@ def run(
     done = 0
     with (
         _progress("aligning", silent) as progress,
-        EstimatesWriter(folder / "estimates.parquet", window, settings.imu.vibration_mps) as estimates,
+        estimates_writer(folder / "estimates.parquet", window, settings.imu.vibration_mps) as estimates,
     ):
         try:
             for done_run in simulate_all(settings, window, settings.runs, settings.seed, progress):

@@ -114,6 +114,8 @@ def _spread(values: Array, quantiles: tuple[float, ...]) -> list[Array]:
 
 def _log_scale(ax: Axes, bottom: float | None = None) -> None:
     """Logarithmic, with plain numbers at the decades, and at twos and fives where there are few decades."""
+    if not np.isfinite(ax.dataLim.minposy):
+        return  # nothing to show
     ax.set_yscale("log")
     ax.set_ylim(bottom=bottom)
     low, high = ax.get_ylim()
@@ -138,7 +140,8 @@ def _errors(scores: Scores, bound: Array, columns: tuple[str, ...], with_positio
         ax.plot(time, bound[:, i], color="black", linestyle="--", linewidth=1, label="bound, stamps known")
         ax.set(ylabel=_LABELS[column], xlabel=_SINCE_START)
         # Single runs come as near to zero as chance has it.
-        _log_scale(ax, bottom=0.2 * float(np.nanmin(bound[:, i])))
+        known = bound[np.isfinite(bound[:, i]), i]
+        _log_scale(ax, bottom=0.2 * float(known.min()) if len(known) else None)
     if with_position:
         ax = axes[0][2]
         for name, score in scores.items():

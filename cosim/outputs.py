@@ -2,9 +2,9 @@
 
 import json
 import math
-import os
 import platform
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -19,6 +19,7 @@ from ..align.consistency import mean_band, rms_interval
 from ..align.estimate import Array, Estimate, FixOutcome
 from ..sins import attitude
 from ..sins.units import DEG, DEG_PER_HOUR, MICRO_G, MILLISECOND
+from .files import whole_file
 from .run import Run
 from .scenario import Scenario
 from .score import (
@@ -89,9 +90,8 @@ def manifest(name: str, scenario: Scenario, seed: int, runs: int, command: str) 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write a JSON file, whole or not at all."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", "utf-8")
-    os.replace(partial, path)
+    with whole_file(path) as partial:
+        partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", "utf-8")
 
 
 def write_flight(path: Path, flight: Flight) -> None:
@@ -103,17 +103,27 @@ def write_flight(path: Path, flight: Flight) -> None:
     columns |= _columns(("roll_deg", "pitch_deg", "heading_deg"), euler)
     columns |= _columns(("dtheta_x_rad", "dtheta_y_rad", "dtheta_z_rad"), flight.dtheta_b)
     columns |= _columns(("dv_x_mps", "dv_y_mps", "dv_z_mps"), flight.dv_b)
-    partial = path.with_name(path.name + ".partial")
-    pq.write_table(pa.table(columns), partial, compression="zstd")
-    os.replace(partial, path)
+    with whole_file(path) as partial:
+        pq.write_table(pa.table(columns), partial, compression="zstd")
 
 
-class EstimatesWriter(AbstractContextManager["EstimatesWriter"]):
-    """Streams the estimates of run after run into one Parquet file, which appears when it is complete."""
+@contextmanager
+def estimates_writer(path: Path, truth: Flight, vibration_mps: float) -> Iterator["EstimatesWriter"]:
+    """Yields a writer of one or more runs; the file appears at the end, unless there was an exception."""
+    with whole_file(path) as partial:
+        writer = EstimatesWriter(partial, truth, vibration_mps)
+        try:
+            yield writer
+            writer.flush()
+        finally:
+            writer.close()
+
+
+class EstimatesWriter:
+    """Streams the estimates of run after run into one Parquet file."""
 
     def __init__(self, path: Path, truth: Flight, vibration_mps: float) -> None:
-        self._path, self._partial = path, path.with_name(path.name + ".partial")
-        self._truth, self._vibration_mps = truth, vibration_mps
+        self._path, self._truth, self._vibration_mps = path, truth, vibration_mps
         self._tables: list[pa.Table] = []
         self._writer: pq.ParquetWriter | None = None
 
@@ -122,7 +132,7 @@ class EstimatesWriter(AbstractContextManager["EstimatesWriter"]):
         for name, estimate in run.estimates.items():
             self._tables.append(self._table(run.run_id, name, estimate))
         if len(self._tables) >= _RUNS_PER_ROW_GROUP * len(run.estimates):
-            self._flush()
+            self.flush()
 
     def _table(self, run_id: int, name: str, estimate: Estimate) -> pa.Table:
         m = len(estimate.time)
@@ -151,19 +161,19 @@ class EstimatesWriter(AbstractContextManager["EstimatesWriter"]):
         }
         return pa.table(arrays)
 
-    def _flush(self) -> None:
+    def flush(self) -> None:
+        """Write what was added."""
         if self._tables:
             table = pa.concat_tables(self._tables)
             if self._writer is None:
-                self._writer = pq.ParquetWriter(self._partial, table.schema, compression="zstd")
+                self._writer = pq.ParquetWriter(self._path, table.schema, compression="zstd")
             self._writer.write_table(table)
             self._tables.clear()
 
-    def __exit__(self, *exception: object) -> None:
-        self._flush()
+    def close(self) -> None:
+        """End the file; what was not flushed is lost."""
         if self._writer is not None:
             self._writer.close()
-            os.replace(self._partial, self._path)
 
 
 def _columns(names: Any, values: Array) -> dict[str, Array]:

@@ -69,7 +69,7 @@ def write_recording(
     path.touch()  # Rerun reports a file that cannot be written from a thread of its own.
     started = {name: e for name, e in run.estimates.items() if np.isfinite(e.lla).any()}
     errors = {name: _errors(window, estimate, vibration_mps) for name, estimate in started.items()}
-    if bound is not None:
+    if bound is not None and np.isfinite(bound.lla).any():
         errors["bound"] = _errors(window, bound, vibration_mps)
     fixes = run.fixes.sorted_by_arrival()
     every = max(1, round(1 / (_RATE_HZ * flight.dt)))

@@ -1,7 +1,6 @@
 """The report of a scenario's runs: one HTML file that needs nothing else."""
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from markupsafe import Markup
 from ..aircraft.flight import Flight
 from ..align.estimate import Array, FixOutcome
 from .figures import draw_all
+from .files import whole_file
 from .palette import filter_color
 from .scenario import Scenario
 from .scenery import told
@@ -68,9 +68,8 @@ def write_report(
         duration_s=float(window.time[-1] - window.time[0]),
         scenario_text=to_toml(scenario.model_dump(mode="json")),
     )
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(html, "utf-8")
-    os.replace(partial, path)
+    with whole_file(path) as partial:
+        partial.write_text(html, "utf-8")
 
 
 def level(row: Mapping[str, float | None]) -> float:
@@ -98,15 +97,17 @@ def _headline(summary: dict[str, Any], window: Flight) -> str:
             f"{levels} {verb} the bound in level ({level(floor):.1f} arcsec) within sampling error"
         )
     told_rows += [
-        f"{name} is level to {level(row):.1f} arcsec, {level(row) / level(floor):.1f} times the bound"
+        f"{name} is level to {level(row):.1f} arcsec"
+        + (f", {level(row) / level(floor):.1f} times the bound" if np.isfinite(level(floor)) else "")
         for name, row in rows.items()
         if name not in reaching
     ]
     headings = [row["heading_arcmin"] for row in rows.values()]
     span = " to ".join(dict.fromkeys(f"{h:.2f}" for h in (min(headings), max(headings))))
+    heading_floor = _number(floor["heading_arcmin"], 2)
     failed = sum(row["failed_runs"] for row in summary["filters"].values())
     return (
-        f"{start}: {'; '.join(told_rows)}. Heading {span} arcmin, bound {floor['heading_arcmin']:.2f}."
+        f"{start}: {'; '.join(told_rows)}. Heading {span} arcmin, bound {heading_floor}."
         f" {failed or 'No'} failed run{'s' if failed > 1 else ''}."
     )
 

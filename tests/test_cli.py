@@ -6,7 +6,10 @@ import sys
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from fleetalign.cosim import cli
+from fleetalign.aircraft import cache
+from fleetalign.aircraft.envelope import FlightError
+from fleetalign.cosim import cli, outputs
+from fleetalign.cosim.run import simulate
 from fleetalign.cosim.score import COLUMNS
 
 FILES = {"summary.json", "estimates.parquet", "recording.rrd", "report.html", "manifest.json"}
@@ -106,6 +109,56 @@ def test_run_that_is_stopped_keeps_what_it_has(command, tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == FILES
 
 
+@pytest.mark.parametrize(
+    ("fixes", "without"), [("loss_probability = 1.0", 3), ("loss_probability = 0.5\nrate_hz = 0.3", 1)]
+)
+def test_runs_without_a_fix_are_named_and_leave_all_files(command, tmp_path, fixes, without):
+    scenario = tmp_path / "lost.toml"
+    scenario.write_text(f"{SHORT}duration_s = 5\n[fixes]\n{fixes}\n", "utf-8")
+    status, out, _ = command("run", scenario, "--out", tmp_path / "out")
+    assert status == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    for name, row in summary["filters"].items():
+        assert list(row["failures"].values()).count("no_fix") == without
+        assert (row["roll_arcsec"] is None) == (without == 3)
+        (line,) = (line.split() for line in out.splitlines() if line.startswith(f" {name} "))
+        assert (line[1] == "-") == (without == 3)
+        assert line[-1] == str(row["failed_runs"])
+
+
+def test_run_that_breaks_leaves_no_estimates(tmp_path, gao2009, window):
+    done = simulate(gao2009, window, 0, seed=1)
+    path = tmp_path / "estimates.parquet"
+
+    def broken_off(error):
+        with outputs.estimates_writer(path, window, 0.0) as estimates:
+            estimates.add(done)
+            estimates.flush()
+            assert list(tmp_path.iterdir())
+            raise error
+
+    for error in (ValueError, KeyboardInterrupt):
+        with pytest.raises(error):
+            broken_off(error)
+        assert list(tmp_path.iterdir()) == []
+    with outputs.estimates_writer(path, window, 0.0) as estimates:
+        estimates.add(done)
+    assert list(tmp_path.iterdir()) == [path]
+    assert set(pq.read_table(path)["run"].to_pylist()) == {0}
+
+
+def test_standard_deviations_hold_the_vibration(tmp_path, gao2009, window):
+    done = simulate(gao2009, window, 0, seed=1)
+    path = tmp_path / "estimates.parquet"
+    with outputs.estimates_writer(path, window, 3.0) as estimates:
+        estimates.add(done)
+    estimate = done.estimates["l2linf"]
+    table = pq.read_table(path, filters=[("filter", "=", "l2linf")]).to_pydict()
+    np.testing.assert_allclose(table["sd_v_east_mps"], np.hypot(estimate.sd[:, 4], 3.0), rtol=1e-6)
+    np.testing.assert_allclose(table["sd_v_north_mps"], np.hypot(estimate.sd[:, 3], 3.0), rtol=1e-6)
+
+
 def test_fly_tells_and_writes_the_flight(command, tmp_path, flight):
     status, out, _ = command("fly", "gao2009", "--out", tmp_path, "--json")
     assert status == 0
@@ -153,6 +206,18 @@ def test_flight_that_cannot_be_flown_ends_with_one_line(command, tmp_path):
     assert status == 2
     assert "takeoff" in err
     assert len(err.splitlines()) == 1
+
+
+def test_flight_model_at_fault_is_not_the_users_mistake(command, monkeypatch):
+    def missing(*_, **__):
+        raise FlightError("preparation", 0.0, "the flight model has no property 'x'")
+
+    monkeypatch.setattr(cache, "cached_flight", missing)
+    status, _, err = command("fly", "--quiet")
+    assert status == 1
+    assert err.splitlines() == [
+        "fleetalign: flight failed in phase preparation at 0.00 s: the flight model has no property 'x'"
+    ]
 
 
 @pytest.mark.parametrize(

@@ -52,10 +52,10 @@ def a_score(
     )
 
 
-def write(path, scenario: Scenario, scores: dict[str, FilterScore]) -> tuple[str, dict]:
+def write(path, scenario: Scenario, scores: dict[str, FilterScore], floor=SD) -> tuple[str, dict]:
     """The text of a report, and the summary that it was made of."""
     flight = a_flight()
-    bound = np.tile(SD, (400, 1))
+    bound = np.tile(floor, (400, 1))
     summary = summarize("a_name", scenario, 7, flight, scores, bound)
     about = manifest("a_name", scenario, 7, RUNS, "fleetalign run a_name --seed 7 --out 'a & b'")
     write_report(path, scenario, flight, flight.window(20, 60), scores, bound, summary, about)
@@ -176,6 +176,14 @@ def test_scenario_text_is_the_scenario():
     _, scenario = load_scenario("gao2009")
     awkward = scenario.model_copy(update={"title": 'A "title" with \\ and Schrödinger\nin two lines'})
     assert Scenario.model_validate(tomllib.loads(to_toml(awkward.model_dump(mode="json")))) == awkward
+
+
+def test_without_a_bound_nothing_is_compared_with_it(tmp_path):
+    scores = {"ekf": a_score("ekf", np.random.default_rng(3), 1.0, 0.0)}
+    html, _ = write(tmp_path / "report.html", Scenario(title="x"), scores, np.full(5, np.nan))
+    lead = re.search(r'class="lead">(.*?)</p>', html, re.S)[1]
+    assert re.search(r"ekf is level to \d\d\.\d arcsec\. Heading 1\.\d\d arcmin, bound \N{EN DASH}\.", lead)
+    assert "nan" not in table_after(html, 'class="lead"')[1]
 
 
 def test_one_run_that_failed_and_no_paper(tmp_path):
