@@ -4,7 +4,7 @@ import os
 import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
@@ -21,6 +21,19 @@ from ..sins.units import DEG
 from .scenario import CoarseAttitude, Scenario, ScenarioError
 
 Progress = Callable[[float, float], None]
+
+BOUND_DRAWS = 50
+"""Runs over whose losses the bound is averaged."""
+UNMODELLED = (
+    "gyro_scale_factor_ppm",
+    "accel_scale_factor_ppm",
+    "gyro_misalignment_arcsec",
+    "accel_misalignment_arcsec",
+    "gyro_g_sensitivity_deg_h_g",
+    "gyro_quantum_arcsec",
+    "accel_quantum_mps",
+)
+"""Errors of the IMU that the filters have no state and no noise for."""
 
 
 @dataclass(frozen=True)
@@ -111,8 +124,45 @@ def simulate_all(
 
 
 def bound_of(scenario: Scenario, window: Flight) -> Estimate:
-    """Posterior Cramer-Rao bound with stamps known, for fixes as the scenario's source sends them."""
-    fixes = draw_fixes(window, window.time[0], window.time[-1], scenario.fixes, generator(0, 0, "fixes"))
+    """Posterior Cramer-Rao bound with stamps known, for fixes as the scenario's source sends them.
+
+    Where packets are lost, the covariance is the mean over the losses of `BOUND_DRAWS` runs. Where
+    `no_bound_because` has a reason, everything but the time is NaN.
+    """
+    draws = BOUND_DRAWS if getattr(scenario.fixes, "loss_probability", 0.0) > 0 else 1
+    bounds = [_bound_of_run(scenario, window, run_id) for run_id in range(draws)]
+    known = np.nan if no_bound_because(scenario) else 1.0
+    return replace(
+        bounds[0],
+        lla=known * bounds[0].lla,
+        sd=known * np.sqrt(np.mean([bound.sd**2 for bound in bounds], axis=0)),
+        misalignment_cov=known * np.mean([bound.misalignment_cov for bound in bounds], axis=0),
+    )
+
+
+def no_bound_because(scenario: Scenario) -> str | None:
+    """Why the filter's covariance along the truth is no bound for this scenario, or None if it is one."""
+    imu = scenario.imu
+    if scenario.fixes.kind == "replay":
+        return "the fixes are a recording, one draw of its noise"
+    if imu.bias_draw != "gaussian":
+        return "the biases are not Gaussian"
+    for sensor, instability in (
+        ("gyro", imu.gyro_bias_instability_deg_h),
+        ("accel", imu.accel_bias_instability_ug),
+    ):
+        if (
+            instability > 0
+            and getattr(imu, f"{sensor}_bias_correlation_s") < 10 * scenario.alignment.duration_s
+        ):
+            return f"the filter takes the {sensor} bias for a random walk, which it is not over this time"
+    unmodelled = [name for name in UNMODELLED if getattr(imu, name) > 0]
+    return f"the filter has no model of {', '.join(unmodelled)}" if unmodelled else None
+
+
+def _bound_of_run(scenario: Scenario, window: Flight, run_id: int) -> Estimate:
+    rng = generator(scenario.seed, run_id, "fixes")
+    fixes = draw_fixes(window, window.time[0], window.time[-1], scenario.fixes, rng)
     lla, v_n, _ = window.at(fixes.t_valid)
     return stamped_bound(
         window.time,
