@@ -8,8 +8,11 @@ import hashlib
 import io
 import json
 import os
+import platform
 import tempfile
+import time
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import jsbsim
@@ -28,6 +31,8 @@ FOLDER_VARIABLE = "FLEETALIGN_CACHE"
 """Environment variable that names another folder for the cache."""
 ARRAYS = {"time": (), "lla": (3,), "v_n": (3,), "q_nb": (4,), "dtheta_b": (3,), "dv_b": (3,)}
 """Fields of `Flight` that an entry holds, with the shape of a row."""
+ORPHAN_AGE_S = 86400.0
+"""Age from which a temporary file counts as left behind."""
 _PHASES = TypeAdapter(tuple[Phase, ...])
 
 
@@ -46,7 +51,9 @@ def cache_folder() -> Path:
 
 
 def flight_key(plan: FlightPlan) -> str:
-    """Hash of all that determines the flight: plan, airframe, JSBSim and the code that flies.
+    """Hash of all that determines the flight: plan, airframe, the code that flies, JSBSim, NumPy, machine.
+
+    The last two decide on rounding, which an unstable moment of the flight can make visible.
 
     Raises ValueError for an unknown airframe.
     """
@@ -55,6 +62,8 @@ def flight_key(plan: FlightPlan) -> str:
         "plan": plan.model_dump(mode="json"),
         "airframe": airframe.model_dump(mode="json"),
         "jsbsim": jsbsim.__version__,
+        "numpy": np.__version__,
+        "machine": platform.machine(),
     }
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
     sources = sorted(Path(__file__).parent.glob("*.py"))
@@ -136,8 +145,16 @@ def _read(content: bytes) -> Flight:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Whole or not at all: to a temporary file beside it, then renamed."""
+    """Whole or not at all: to a temporary file beside it, then renamed.
+
+    Temporary files that a killed process left behind are removed once no writer can still be at work.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
+    for orphan in path.parent.glob("*.tmp"):
+        # Another process may remove it, or it may be another user's: neither hinders the writing.
+        with suppress(OSError):
+            if time.time() - orphan.stat().st_mtime > ORPHAN_AGE_S:
+                orphan.unlink()
     handle, name = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
     try:
         with os.fdopen(handle, "wb") as file:

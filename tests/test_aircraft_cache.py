@@ -1,5 +1,7 @@
 """The flight cache returns what was flown, and nothing else."""
 
+import os
+import time
 import warnings
 
 import numpy as np
@@ -148,6 +150,19 @@ def test_entry_with_a_true_digest_of_wrong_content_is_flown_again(flights, flown
     assert not cached_flight(PLAN)[1]
 
 
+def test_temporary_files_left_behind_are_removed_after_a_day(flights):
+    cache.cache_folder().mkdir()
+    old, young, other = (cache.cache_folder() / name for name in ("old.tmp", "young.tmp", "old.txt"))
+    for file, age_h in ((old, 25), (young, 23), (other, 25)):
+        file.write_bytes(b"half an entry")
+        written = time.time() - 3600 * age_h
+        os.utime(file, (written, written))
+    cached_flight(PLAN)
+    assert not old.exists()
+    assert young.exists()
+    assert other.exists()
+
+
 def test_unwritable_folder_is_one_warning(flights, flown, monkeypatch, tmp_path):
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path / "file" / "flights"))
@@ -167,10 +182,16 @@ def test_key_tells_plans_apart(changes):
     assert flight_key(PLAN.model_copy(update=changes)) != flight_key(PLAN)
 
 
-def test_key_knows_the_code_and_jsbsim(monkeypatch):
+def test_key_knows_the_code_its_libraries_and_the_machine(monkeypatch):
     key = flight_key(PLAN)
     assert flight_key(FlightPlan(**{**dict(PLAN), "airframe": "F16"})) == key
     monkeypatch.setattr(cache.jsbsim, "__version__", "0.0")
+    assert flight_key(PLAN) != key
+    monkeypatch.undo()
+    monkeypatch.setattr(cache.np, "__version__", "0.0")
+    assert flight_key(PLAN) != key
+    monkeypatch.undo()
+    monkeypatch.setattr(cache.platform, "machine", lambda: "abacus")
     assert flight_key(PLAN) != key
     monkeypatch.undo()
     monkeypatch.setattr(cache.attitude, "__file__", cache.__file__)
