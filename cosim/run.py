@@ -111,7 +111,7 @@ def simulate_all(
     workers = os.cpu_count() or 1
     with ThreadPoolExecutor(workers) as pool:
         ids = iter(range(runs))
-        # A few runs in flight at a time, so that memory does not grow with their number.
+        # A few runs in flight at a time, so that their records do not pile up.
         pending = [pool.submit(simulate, scenario, window, i, seed) for i in islice(ids, 4 * workers)]
         done = 0
         while pending:

@@ -182,7 +182,7 @@ def test_check_and_list(command):
     ("arguments", "told"),
     [
         (("check", "nothing.toml"), "nothing.toml: cannot be read"),
-        (("run", "--runs", "0"), "option: runs = 0: allowed is [1, 1e+06]"),
+        (("run", "--runs", "0"), "option: runs = 0: allowed is [1, 100000]"),
         (("run", "--runs", "many"), "--runs"),
         (("run", "--seed", "-1"), "option: seed = -1"),
         (("run", "--filter", "kalman"), "no filter 'kalman'"),

@@ -1,7 +1,10 @@
 """Scenario files: mistakes are told in one line each, with file, field, value, unit and allowed range."""
 
+import numpy as np
 import pytest
 from fleetalign.cosim.scenario import ScenarioError, load_scenario, replaced, scenario_names
+from fleetalign.network.fixes import write_fixes
+from fleetalign.network.source import draw_fixes
 
 GOOD = 'title = "A test"\n'
 
@@ -41,7 +44,7 @@ def test_a_file_states_only_what_differs(tmp_path):
     ("text", "line"),
     [
         ("", "title: missing"),
-        (GOOD + "runs = 0", "runs = 0: allowed is [1, 1e+06]"),
+        (GOOD + "runs = 0", "runs = 0: allowed is [1, 100000]"),
         (GOOD + "extra = 1", "extra: unknown field"),
         (
             GOOD + "[imu]\ngyro_bias_deg_h = -1.0",
@@ -117,6 +120,25 @@ def test_data_files_are_beside_the_scenario(tmp_path):
     before = scenario.digest
     (tmp_path / "delays.csv").write_text("delay_ms\n10\n50\n", "utf-8")
     assert load_scenario(str(path))[1].digest != before
+
+
+@pytest.mark.parametrize(
+    "table", ['delay = { kind = "replay", file = "delays.csv" }', 'kind = "replay"\nfile = "fixes.csv"']
+)
+def test_digest_depends_on_what_a_file_holds_and_not_on_where_it_is(
+    tmp_path, monkeypatch, gao2009, window, table
+):
+    fixes = draw_fixes(window, 500, 501, gao2009.fixes, np.random.default_rng(1))
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "delays.csv").write_text("delay_ms\n10\n30\n", "utf-8")
+        (tmp_path / folder / "mine.toml").write_text(f"{GOOD}[fixes]\n{table}\n", "utf-8")
+        write_fixes(fixes, tmp_path / folder / "fixes.csv")
+    digests = set()
+    for folder, path in (("", "a/mine.toml"), ("", "b/mine.toml"), ("a", "mine.toml")):
+        monkeypatch.chdir(tmp_path / folder)
+        digests.add(load_scenario(path)[1].digest)
+    assert len(digests) == 1
 
 
 def test_replaced_checks_like_a_file(gao2009):
