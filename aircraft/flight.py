@@ -89,8 +89,9 @@ class Flight:
         """Position, velocity and attitude ``(lla, v_n, q_nb)`` at any times of the flight, s.
 
         Position by cubic Hermite interpolation with the velocities, velocity by cubic Hermite interpolation
-        with central differences, attitude along the rotation vector from row to row. ``t`` may have any
-        shape, which leads the shapes of the results. Raises ValueError outside the flight.
+        with central differences, attitude along the rotation vector from row to row. Longitude is in
+        [-pi, pi). ``t`` may have any shape, which leads the shapes of the results. Raises ValueError outside
+        the flight.
         """
         t = np.asarray(t, float)
         slack = 1e-6 * self.dt
@@ -98,10 +99,17 @@ class Flight:
             raise ValueError(f"time outside the flight of {self.time[0]:.3f} to {self.time[-1]:.3f} s")
         row = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 2)
         x = ((t - self.time[row]) / self.dt)[..., None]
-        lla = _hermite(x, self.dt, self.lla, self._lla_rate, row)
+        lla = _hermite(x, self.dt, self._unwrapped_lla, self._lla_rate, row)
+        lla[..., 1] = earth.wrapped(lla[..., 1])
         v_n = _hermite(x, self.dt, self.v_n, self._v_n_rate, row)
         turn = attitude.to_rotvec(attitude.multiply(attitude.conjugate(self.q_nb[row]), self.q_nb[row + 1]))
         return lla, v_n, attitude.multiply(self.q_nb[row], attitude.from_rotvec(x * turn))
+
+    @cached_property
+    def _unwrapped_lla(self) -> Array:
+        """``lla`` with a longitude that does not jump at the antimeridian."""
+        lat, lon, height = self.lla.T
+        return np.stack([lat, np.unwrap(lon), height], axis=-1)
 
     @cached_property
     def _lla_rate(self) -> Array:

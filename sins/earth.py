@@ -177,25 +177,42 @@ def C_en(lat: ArrayLike, lon: ArrayLike) -> NDArray[np.float64]:
     return np.stack([north, east, down], axis=-1)
 
 
+def wrapped(angle: ArrayLike) -> NDArray[np.float64]:
+    """The same angle in [-pi, pi), rad; to the last bit where it lies there already, NaN if infinite."""
+    angle = np.asarray(angle, float)
+    with np.errstate(invalid="ignore"):
+        turned = angle - 2 * np.pi * np.floor((angle + np.pi) / (2 * np.pi))
+    return np.where(np.abs(angle) < np.pi, angle, turned)
+
+
 def displacement_n(lla: ArrayLike, lla_reference: ArrayLike) -> NDArray[np.float64]:
     """Small displacement from ``lla_reference`` to ``lla``, NED, m, shape (..., 3).
 
-    First order in the separation: 1 km apart it is right to some 0.1 m.
+    First order in the separation: 1 km apart it is right to some 0.1 m. The antimeridian may lie between.
     """
     lla, reference = np.asarray(lla, float), np.asarray(lla_reference, float)
     R_N, R_E = radii_of_curvature(reference[..., 0])
     d = lla - reference
     height = reference[..., 2]
     return np.stack(
-        [d[..., 0] * (R_N + height), d[..., 1] * (R_E + height) * np.cos(reference[..., 0]), -d[..., 2]],
+        [
+            d[..., 0] * (R_N + height),
+            wrapped(d[..., 1]) * (R_E + height) * np.cos(reference[..., 0]),
+            -d[..., 2],
+        ],
         axis=-1,
     )
 
 
 def displaced(lla: ArrayLike, displacement: ArrayLike) -> NDArray[np.float64]:
-    """The position ``displacement`` (NED, m) away from ``lla``: the inverse of `displacement_n`."""
+    """The position ``displacement`` (NED, m) away from ``lla``: the inverse of `displacement_n`.
+
+    Its longitude is in [-pi, pi).
+    """
     lla, d = np.asarray(lla, float), np.asarray(displacement, float)
     R_N, R_E = radii_of_curvature(lla[..., 0])
     height = lla[..., 2]
     step = [d[..., 0] / (R_N + height), d[..., 1] / ((R_E + height) * np.cos(lla[..., 0])), -d[..., 2]]
-    return lla + np.stack(step, axis=-1)
+    moved = lla + np.stack(step, axis=-1)
+    moved[..., 1] = wrapped(moved[..., 1])
+    return moved

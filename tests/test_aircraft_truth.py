@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fleetalign.aircraft import simulator
 from fleetalign.aircraft.flight import Flight
-from fleetalign.aircraft.mission import Air, FlightPlan, SManeuver, Turbulence
+from fleetalign.aircraft.mission import Air, FlightPlan, SManeuver, Start, Turbulence
 from fleetalign.aircraft.simulator import fly
 from fleetalign.aircraft.truth import InertialStates, gravitation_i, increments, navigation_truth, summed
 from fleetalign.sins import attitude, earth
@@ -182,6 +182,20 @@ def test_interpolation(whole_flight):
         coarse.at(s.end_s + 1.0)
     with pytest.raises(ValueError, match="outside the flight"):
         coarse.at([s.start_s, np.nan])
+
+
+def test_interpolation_across_the_antimeridian():
+    plan = FlightPlan(start=Start(longitude_deg=179.9), s_start_s=130.0, tail_s=0.0, fdm_rate_hz=200)
+    across = fly(plan.model_copy(update={"s_maneuver": SManeuver(duration_s=5.0)}))
+    assert across.lla[0, 1] > 3.1
+    assert across.lla[-1, 1] < -3.1
+    t = np.arange(0.0, across.time[-1], 0.0037)
+    lla, v_n, _ = across.at(t)
+    assert np.all((lla[:, 1] >= -np.pi) & (lla[:, 1] < np.pi))
+    steps = earth.displacement_n(lla[1:], lla[:-1])
+    assert np.abs(steps - 0.0037 * (v_n[1:] + v_n[:-1]) / 2).max() < 1e-3
+    at_rows = across.at(across.time)[0]
+    assert np.abs(earth.displacement_n(at_rows, across.lla)).max() < 1e-6
 
 
 def test_window(whole_flight):

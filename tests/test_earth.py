@@ -55,6 +55,27 @@ def test_displacement_agrees_with_the_geocentric_one(lla, d):
     np.testing.assert_allclose(earth.C_en(lla[0], lla[1]).T @ geocentric, d, atol=curvature + 1e-8)
 
 
+@pytest.mark.parametrize("shape", [(), (3,), (2, 3)])
+def test_displacement_across_the_antimeridian(shape):
+    west_of_it = np.broadcast_to([0.5, np.pi - 1e-6, 100.0], (*shape, 3))
+    d = np.broadcast_to([30.0, 40.0, -5.0], (*shape, 3))
+    moved = earth.displaced(west_of_it, d)
+    # 40 m are 7 urad here: the longitude is now a western one.
+    np.testing.assert_allclose(moved[..., 1], -np.pi + 6.1e-6, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(earth.displacement_n(moved, west_of_it), d, rtol=0, atol=1e-6)
+    back = earth.displaced(moved, -d)
+    np.testing.assert_allclose(earth.displacement_n(west_of_it, moved), -d, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(back[..., 1], np.pi - 1e-6, rtol=0, atol=1e-9)
+
+
+def test_wrapped_angles():
+    angles = [-np.pi, np.pi, 3.0, 3 * np.pi + 0.5, -4.0, 1e-20, np.nan, np.inf]
+    expected = [-np.pi, -np.pi, 3.0, -np.pi + 0.5, 2 * np.pi - 4.0, 1e-20, np.nan, np.nan]
+    np.testing.assert_allclose(earth.wrapped(angles), expected, rtol=1e-15)
+    for angle in np.nextafter([-np.pi, np.pi], [-4.0, 0.0]):
+        assert -np.pi <= earth.wrapped(angle) < np.pi
+
+
 def potential_j2(r_e):
     """Gravity potential in e, m^2/s^2: point mass, J2 and centrifugal."""
     x, y, z = r_e
