@@ -106,8 +106,9 @@ class BernoulliDelay(Settings):
 
 
 class ReplayedDelay(Settings):
-    """Delays from a recording, in its order and from its start again when it is used up.
+    """Delays from a recording, in its order from a random row on, its first row following its last.
 
+    Every draw begins at a row of its own: runs differ, and a duplicate does not arrive with its original.
     ``file`` is CSV or Parquet; ``column`` names the delays and ends in their unit, ``_s`` or ``_ms``.
     """
 
@@ -132,7 +133,8 @@ class ReplayedDelay(Settings):
 
     def draw(self, k: int, rng: Generator) -> Array:
         """Delays of ``k`` packets, s."""
-        return np.resize(self.recorded, k)
+        first = rng.integers(len(self.recorded))
+        return np.take(self.recorded, first + np.arange(k), mode="wrap")
 
     @property
     def mean_s(self) -> float:
