@@ -80,7 +80,7 @@ class FilterSettings(Settings):
     """Probability with which a good fix passes the innovation gate."""
     restart_after_gated: int = Field(default=20, ge=2, le=100_000)
     """So many fixes refused in a row mean that the filter is wrong and not the fixes: it starts again."""
-    horizon_s: float = Field(default=2.0, ge=0, le=60)
+    horizon_s: float = Field(default=2.0, ge=0.1, le=60)
     """How far back a stamped fix may reach."""
     acceleration_window_s: float = Field(default=0.1, gt=0, le=2)
     """Time over which the specific force is averaged to predict where the vehicle was."""

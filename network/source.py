@@ -95,7 +95,10 @@ class RecordedFixes(Settings):
 
 def _kind(source: Any) -> str:
     """The tag of a source's settings; a table without one is a simulated source."""
-    return source.get("kind", "simulated") if isinstance(source, dict) else source.kind
+    if isinstance(source, dict):
+        return source.get("kind", "simulated")
+    # What is no table at all is refused as a simulated source.
+    return getattr(source, "kind", "simulated")
 
 
 AnyFixSource = Annotated[

@@ -12,7 +12,17 @@ from numba import njit
 
 from .earth import EARTH_RATE, EQUATORIAL_RADIUS, gravity_by_sine, radii_by_sine
 
-COMPILED = {"cache": True, "nogil": True, "error_model": "numpy"}
+
+def _can_be_kept() -> bool:
+    """Whether there is a folder to keep compiled code in; numba looks for one when it decorates."""
+    try:
+        njit(cache=True)(_can_be_kept)
+    except RuntimeError:
+        return False
+    return True
+
+
+COMPILED = {"cache": _can_be_kept(), "nogil": True, "error_model": "numpy"}
 """Options of every compiled loop: kept on disk, free of the interpreter's lock, division as numpy does it."""
 
 
