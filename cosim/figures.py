@@ -54,18 +54,24 @@ _MAX_POINTS = 1500
 
 
 def draw_all(
-    flight: Flight, window: Flight, scores: Scores, bound: Array, delay_mean_s: float
+    flight: Flight,
+    window: Flight,
+    scores: Scores,
+    bound: Array,
+    delay_mean_s: float,
+    with_bands: bool = True,
 ) -> dict[str, str]:
     """All figures as SVG elements by name; ``delay`` is there if a filter estimates one.
 
-    ``bound``, shape (m, 5), as `score.standard_deviations` gives it; ``delay_mean_s`` is that of the fixes.
+    ``bound``, shape (m, 5), as `score.standard_deviations` gives it; ``delay_mean_s`` is that of the fixes;
+    ``with_bands`` shows what independent runs of a consistent filter keep to.
     """
     estimating = {name: score for name, score in scores.items() if np.any(score.delay > 0)}
     with mpl.rc_context(_STYLE):
         figures = {
             "attitude": _svg(_errors(scores, bound, COLUMNS[:3])),
             "velocity": _svg(_errors(scores, bound, COLUMNS[3:], with_position=True)),
-            "consistency": _svg(_consistency(scores)),
+            "consistency": _svg(_consistency(scores, with_bands)),
             "flight": _svg(_flight(flight, window)),
         }
         if estimating:
@@ -164,7 +170,7 @@ def _rms_with_spread(ax: Axes, name: str, time: Array, magnitude: Array, width: 
     ax.plot(time, rms, color=color, linewidth=width, label=name)
 
 
-def _consistency(scores: Scores) -> Figure:
+def _consistency(scores: Scores, with_bands: bool) -> Figure:
     figure, (panels,) = _panels(1, 2, 3.4)
     over_time, histogram = panels
     for name, score in scores.items():
@@ -172,7 +178,8 @@ def _consistency(scores: Scores) -> Figure:
             score.time, score.mean_nees, color=filter_color(name), linewidth=_widths(scores)[name], label=name
         )
     runs = max(int(np.isfinite(score.nees[:, -1]).sum()) for score in scores.values())
-    over_time.axhspan(*mean_band(3, max(runs, 1)), color="#DDDDDD", label="95 % band if consistent")
+    if with_bands:
+        over_time.axhspan(*mean_band(3, max(runs, 1)), color="#DDDDDD", label="95 % band if consistent")
     over_time.axhline(3, color="black", linewidth=0.6)
     over_time.set(ylabel="NEES (3), mean over the runs", xlabel=_SINCE_START)
     _log_scale(over_time)
@@ -186,10 +193,11 @@ def _consistency(scores: Scores) -> Figure:
         histogram.hist(
             values, edges, histtype="step", color=filter_color(name), linewidth=_widths(scores)[name]
         )
-    mean = np.linspace(edges[0], edges[-1], 300)
-    expected = runs * (edges[1] - edges[0]) * fixes * chi2.pdf(mean * fixes, 6 * fixes)
-    label = f"expected of {fixes} fixes a run"
-    histogram.plot(mean, expected, color="black", linestyle="--", linewidth=1, label=label)
+    if with_bands:
+        mean = np.linspace(edges[0], edges[-1], 300)
+        expected = runs * (edges[1] - edges[0]) * fixes * chi2.pdf(mean * fixes, 6 * fixes)
+        label = f"expected of {fixes} fixes a run"
+        histogram.plot(mean, expected, color="black", linestyle="--", linewidth=1, label=label)
     histogram.set(xlabel="NIS (6), mean over the fixes of a run", ylabel="runs")
     _legend(figure, over_time, histogram)
     return figure

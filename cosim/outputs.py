@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ..aircraft.flight import Flight
-from ..align.consistency import mean_band, rms_interval
+from ..align.consistency import mean_band
 from ..align.estimate import Array, Estimate, FixOutcome
 from ..sins import attitude
 from ..sins.units import DEG, DEG_PER_HOUR, MICRO_G, MILLISECOND
@@ -27,6 +27,7 @@ from .score import (
     HEADING_LIMIT_ARCMIN,
     LEVEL_LIMIT_ARCSEC,
     FilterScore,
+    bootstrap_rms_interval,
     errors_against,
     standard_deviations,
 )
@@ -44,7 +45,9 @@ def summarize(
         "seed": seed,
         "runs": next(iter(scores.values())).runs,
         "flight": flight.summary,
-        "filters": {name: _summarize_filter(score) for name, score in scores.items()},
+        "filters": {
+            name: _summarize_filter(score, scenario.fixes.kind != "replay") for name, score in scores.items()
+        },
         "bound": {"stamped": _named(bound[-1])},
     }
     if scenario.paper:
@@ -52,20 +55,22 @@ def summarize(
     return summary
 
 
-def _summarize_filter(score: FilterScore) -> dict[str, Any]:
-    final = score.rms[-1]
+def _summarize_filter(score: FilterScore, independent: bool) -> dict[str, Any]:
+    """Runs that are not ``independent``, for they replay the same fixes, have neither interval nor band."""
     surviving = int(np.count_nonzero(np.isfinite(score.errors[:, -1, 0])))
-    interval = rms_interval(final, max(surviving, 1))
+    interval = bootstrap_rms_interval(score.errors[:, -1])
+    known = independent and np.isfinite(interval).all()
+    pairs = zip(COLUMNS, interval.T, strict=True)
     return {
-        **_named(final),
-        "ci95": {column: _plain(pair) for column, pair in zip(COLUMNS, interval, strict=True)},
+        **_named(score.rms[-1]),
+        "ci95": {column: _plain(pair) for column, pair in pairs} if known else None,
         "window": _named(score.window_rms),
         "level_below_60_arcsec_s": score.time_below(slice(0, 2), LEVEL_LIMIT_ARCSEC),
         "heading_below_5_arcmin_s": score.time_below(slice(2, 3), HEADING_LIMIT_ARCMIN),
         "nees": _plain(score.mean_nees[-1]),
-        "nees_band95": mean_band(3, max(surviving, 1)),
+        "nees_band95": mean_band(3, max(surviving, 1)) if independent else None,
         "nis": _plain(score.mean_nis),
-        "nis_band95": mean_band(6, max(int(score.fused.sum()), 1)),
+        "nis_band95": mean_band(6, max(int(score.fused.sum()), 1)) if independent else None,
         "fixes": {outcome.name.lower(): score.fix_outcomes[outcome] for outcome in FixOutcome},
         "failed_runs": len(score.failures),
         "failures": {str(run_id): reason for run_id, reason in score.failures.items()},

@@ -16,11 +16,10 @@ from .files import whole_file
 from .palette import filter_color
 from .scenario import Scenario
 from .scenery import told
-from .score import COLUMNS, FilterScore
+from .score import COLUMNS, LEAST_RUNS, FilterScore
 
 _DIGITS = dict(zip(COLUMNS, (1, 1, 2, 3, 3), strict=True))
 _HEADINGS = ("Roll, arcsec", "Pitch, arcsec", "Heading, arcmin", "v east, m/s", "v north, m/s")
-_RUNS_TO_JUDGE = 10
 _MISSING = "\N{EN DASH}"
 
 
@@ -53,12 +52,15 @@ def write_report(
         undefined=jinja2.StrictUndefined,
     )
     environment.filters["number"] = _number
-    figures = draw_all(flight, window, scores, bound, scenario.fixes.delay_mean_s)
+    replayed = scenario.fixes.kind == "replay"
+    figures = draw_all(flight, window, scores, bound, scenario.fixes.delay_mean_s, with_bands=not replayed)
     html = environment.get_template("report.html.j2").render(
         scenario=scenario,
         summary=summary,
         manifest=manifest,
         headline=_headline(summary, window),
+        replayed=replayed,
+        least_runs=LEAST_RUNS,
         columns=list(zip(COLUMNS, _HEADINGS, _DIGITS.values(), strict=True)),
         rows=[_row(name, row, summary["bound"]["stamped"]) for name, row in summary["filters"].items()],
         comparison=_comparison(summary),
@@ -86,9 +88,7 @@ def _headline(summary: dict[str, Any], window: Flight) -> str:
     start = f"After {window.time[-1] - window.time[0]:g} s, {runs}"
     if not rows:
         return f"{start}: no filter came to an end."
-    # A few runs can come near the bound by chance, and say nothing.
-    enough = summary["runs"] >= _RUNS_TO_JUDGE
-    reaching = [name for name, row in rows.items() if enough and level(_lower_ends(row)) <= level(floor)]
+    reaching = [name for name, row in rows.items() if level(_lower_ends(row)) <= level(floor)]
     told_rows = []
     if reaching:
         levels = " and ".join(f"{name} ({level(rows[name]):.1f} arcsec)" for name in reaching)
@@ -112,23 +112,25 @@ def _headline(summary: dict[str, Any], window: Flight) -> str:
     )
 
 
-def _lower_ends(row: Mapping[str, Any]) -> dict[str, float]:
-    """The lower ends of a filter's confidence intervals."""
-    return {column: row["ci95"][column][0] for column in COLUMNS}
+def _lower_ends(row: Mapping[str, Any]) -> dict[str, float | None]:
+    """The lower ends of a filter's confidence intervals, if it has any."""
+    return {column: row["ci95"][column][0] if row["ci95"] else None for column in COLUMNS}
 
 
 def _row(name: str, row: dict[str, Any], floor: dict[str, Any]) -> dict[str, Any]:
     """A filter's line of the headline table, and of the table over the last half."""
 
     def judged(kind: str) -> dict[str, Any]:
-        value, (low, high) = row[kind], row[f"{kind}_band95"]
-        outside = value is not None and not low <= value <= high
-        return {"value": value, "low": low, "high": high, "outside": outside}
+        value, band = row[kind], row[f"{kind}_band95"]
+        outside = value is not None and band is not None and not band[0] <= value <= band[1]
+        return {"value": value, "band": band, "outside": outside}
+
+    intervals = row["ci95"] or dict.fromkeys(COLUMNS)
 
     return {
         "name": name,
         "color": filter_color(name),
-        "values": [(column, row[column], row["ci95"][column], _DIGITS[column]) for column in COLUMNS],
+        "values": [(column, row[column], intervals[column], _DIGITS[column]) for column in COLUMNS],
         "level_ratio": level(row) / level(floor),
         "heading_ratio": _ratio(row["heading_arcmin"], floor["heading_arcmin"]),
         "nees": judged("nees"),

@@ -19,6 +19,8 @@ _PER_UNIT = np.array([1 / ARCSEC, 1 / ARCSEC, 1 / ARCMIN, 1.0, 1.0])
 
 LEVEL_LIMIT_ARCSEC = 60.0
 HEADING_LIMIT_ARCMIN = 5.0
+LEAST_RUNS = 30
+"""From which a confidence interval is given."""
 
 
 def errors_against(truth: Flight, estimate: Estimate) -> Array:
@@ -180,3 +182,26 @@ def _rms(x: Array, axis: int | tuple[int, ...]) -> Array:
     count = finite.sum(axis=axis)
     total = np.sum(np.where(finite, x, 0.0) ** 2, axis=axis)
     return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
+
+
+def bootstrap_rms_interval(errors: Array, probability: float = 0.95, resamples: int = 2000) -> Array:
+    """Confidence interval, shape (2, c), of the RMS over runs of errors (runs, c); NaN for few runs.
+
+    Percentiles over resampled runs (Efron, Tibshirani, "An Introduction to the Bootstrap", chapter 13): the
+    errors need be neither zero-mean nor Gaussian. Runs with a NaN are left out; fewer than `LEAST_RUNS` say
+    too little of their own spread. The same errors give the same interval.
+    """
+    squares = errors[np.isfinite(errors).all(axis=1)] ** 2
+    n = len(squares)
+    if n < LEAST_RUNS:
+        return np.full((2, errors.shape[1]), np.nan)
+    rng = np.random.default_rng(0)
+    block = max(1, 1_000_000 // n)
+    means = []
+    for start in range(0, resamples, block):
+        rows = min(block, resamples - start)
+        drawn = rng.integers(n, size=(rows, n)) + n * np.arange(rows)[:, None]
+        times_drawn = np.bincount(drawn.ravel(), minlength=rows * n).reshape(rows, n)
+        means.append(times_drawn @ squares / n)
+    tail = (1 - probability) / 2
+    return np.sqrt(np.quantile(np.concatenate(means), [tail, 1 - tail], axis=0))

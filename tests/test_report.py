@@ -13,8 +13,10 @@ from fleetalign.align.estimate import FixOutcome
 from fleetalign.cosim.outputs import manifest, summarize
 from fleetalign.cosim.palette import filter_color
 from fleetalign.cosim.report import to_toml, write_report
-from fleetalign.cosim.scenario import Scenario, load_scenario
+from fleetalign.cosim.scenario import Scenario, load_scenario, replaced
 from fleetalign.cosim.score import FilterScore
+from fleetalign.network.fixes import write_fixes
+from fleetalign.network.source import draw_fixes
 from fleetalign.sins import attitude, earth
 from fleetalign.sins.units import DEG
 
@@ -176,6 +178,23 @@ def test_scenario_text_is_the_scenario():
     _, scenario = load_scenario("gao2009")
     awkward = scenario.model_copy(update={"title": 'A "title" with \\ and Schrödinger\nin two lines'})
     assert Scenario.model_validate(tomllib.loads(to_toml(awkward.model_dump(mode="json")))) == awkward
+
+
+def test_replayed_fixes_have_neither_intervals_nor_bands(tmp_path, gao2009, window):
+    fixes = draw_fixes(window, 500, 501, gao2009.fixes, np.random.default_rng(1))
+    write_fixes(fixes, tmp_path / "fixes.csv")
+    scenario = replaced(gao2009, {"fixes": {"kind": "replay", "file": str(tmp_path / "fixes.csv")}})
+    html, summary = write(
+        tmp_path / "report.html", scenario, {"ekf": a_score("ekf", np.random.default_rng(3), 1.0, 0.0)}
+    )
+    row = summary["filters"]["ekf"]
+    assert (row["ci95"], row["nees_band95"], row["nis_band95"]) == (None, None, None)
+    cells = table_after(html, 'class="lead"')[1]
+    assert cells[1] == f"{row['roll_arcsec']:.1f}"
+    assert cells[8:10] == [f"{row['nees']:.2f}", f"{row['nis']:.2f}"]
+    assert "reaches the bound" not in html
+    assert "band if consistent" not in html
+    assert "Small print: the fixes are replayed" in html
 
 
 def test_without_a_bound_nothing_is_compared_with_it(tmp_path):

@@ -1,0 +1,102 @@
+"""Scores of hand-made errors, whose values can be told beforehand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fleetalign.align.estimate import FixOutcome
+from fleetalign.cosim.score import LEAST_RUNS, FilterScore, bootstrap_rms_interval
+
+NAN = np.nan
+COVERAGE_RUNS = 2000
+
+
+def a_score(errors, **more) -> FilterScore:
+    """Errors (runs, m), alike in all five columns, at 1, 2, ... m s."""
+    errors = np.array(errors, float)
+    runs, m = errors.shape
+    return FilterScore(
+        name="ekf",
+        time=np.arange(1.0, m + 1),
+        errors=np.repeat(errors[:, :, None], 5, axis=2),
+        position_errors=np.zeros((runs, m, 3)),
+        **{"nees": np.zeros((runs, m)), "nis": np.zeros(runs), "fused": np.ones(runs, np.int64), **more},
+        delay=np.zeros((runs, m)),
+        fix_outcomes=dict.fromkeys(FixOutcome, 0),
+        failures={},
+    )
+
+
+def test_rms_leaves_out_runs_without_an_error():
+    score = a_score([[NAN, 3.0, NAN], [NAN, 4.0, -2.0]])
+    np.testing.assert_array_equal(score.rms[:, 0], [NAN, np.sqrt(12.5), 2.0])
+
+
+def test_window_is_what_comes_after_half_the_time():
+    """Four times: the last half is 3 and 4 s; 2 s is half itself, and outside."""
+    score = a_score([[100.0, 100.0, 1.0, 2.0], [100.0, 100.0, 3.0, NAN]])
+    np.testing.assert_allclose(score.window_rms, np.full(5, np.sqrt((1 + 4 + 9) / 3)))
+
+
+@pytest.mark.parametrize(
+    ("errors", "time"),
+    [
+        ([0.5, 0.5, 0.5, 0.5], 1.0),
+        ([9.0, 0.5, 0.5, 0.5], 2.0),
+        ([0.5, 9.0, 0.5, 0.5], 3.0),
+        ([0.5, 0.5, 1.0, 0.5], 4.0),  # the limit itself is not below it
+        ([NAN, 0.5, 0.5, 0.5], 2.0),
+        ([0.5, 0.5, 0.5, 9.0], None),
+        ([0.5, 0.5, 0.5, NAN], None),
+    ],
+)
+def test_time_below_is_that_of_the_first_output_after_the_last_excess(errors, time):
+    assert a_score([errors]).time_below(slice(0, 2), 1.0) == time
+
+
+def test_time_below_takes_the_worst_of_its_columns_and_no_other():
+    score = a_score([[0.5, 0.5, 0.5]])
+    errors = score.errors.copy()
+    errors[0, 1, 1] = 9.0
+    score = replace(score, errors=errors)
+    assert score.time_below(slice(0, 2), 1.0) == 3.0
+    assert score.time_below(slice(2, 3), 1.0) == 1.0
+
+
+def test_mean_nees_is_over_the_runs_that_have_one():
+    score = a_score(np.zeros((3, 3)), nees=np.array([[1.0, NAN, NAN], [2.0, 4.0, NAN], [6.0, 8.0, NAN]]))
+    np.testing.assert_array_equal(score.mean_nees, [3.0, 6.0, NAN])
+
+
+def test_mean_nis_counts_fixes_and_not_runs():
+    zeros = np.zeros((3, 1))
+    assert a_score(zeros, nis=np.array([4.0, 8.0, NAN]), fused=np.array([3, 1, 0])).mean_nis == 5.0
+    assert np.isnan(a_score(zeros, nis=np.full(3, NAN), fused=np.zeros(3, np.int64)).mean_nis)
+
+
+@pytest.mark.parametrize("bias", [0.0, 3.0])
+@pytest.mark.parametrize(("runs", "coverage"), [(50, 0.91), (200, 0.945)])
+def test_interval_of_an_rms_covers_it(bias, runs, coverage):
+    """The chi-square interval of zero-mean errors would cover the biased RMS always."""
+    errors = bias + np.random.default_rng(8).normal(size=(runs, COVERAGE_RUNS))
+    low, high = bootstrap_rms_interval(errors)
+    rms = np.hypot(bias, 1.0)
+    covered = np.mean((low < rms) & (rms < high))
+    three_sd = 3 * np.sqrt(0.95 * 0.05 / COVERAGE_RUNS)
+    assert coverage - three_sd < covered < 0.95 + three_sd
+
+
+def test_interval_of_two_values_is_that_of_a_binomial():
+    """Of 100 runs half err by 0, half by 1: the mean square of a resample is binomial(100, 1/2) / 100."""
+    errors = np.repeat([[0.0], [1.0]], 50, axis=0)
+    low, high = bootstrap_rms_interval(errors)[:, 0] ** 2
+    assert (low, high) == (pytest.approx(0.40, abs=0.011), pytest.approx(0.60, abs=0.011))
+    np.testing.assert_array_equal(bootstrap_rms_interval(np.full((40, 1), -2.0)), [[2.0], [2.0]])
+
+
+def test_interval_is_repeatable_and_leaves_out_lost_runs():
+    errors = np.random.default_rng(1).normal(size=(1500, 2))
+    lost = np.vstack([errors, [[NAN, NAN]]])
+    np.testing.assert_array_equal(bootstrap_rms_interval(lost), bootstrap_rms_interval(errors))
+    assert np.isnan(bootstrap_rms_interval(errors[: LEAST_RUNS - 1])).all()
+    assert np.isfinite(bootstrap_rms_interval(errors[:LEAST_RUNS])).all()
