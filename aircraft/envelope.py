@@ -13,6 +13,10 @@ RUNWAY_HEADING_DEG = 20.0
 """Departure from the runway's heading that ends a take-off."""
 
 
+BOUNCE_S = 2.0
+"""After lift-off the wheels may touch the runway again for so long."""
+
+
 class FlightError(RuntimeError):
     """A plan that cannot be flown: phase and time (s from brake release) of the failure, and the reason."""
 
@@ -47,19 +51,32 @@ class Envelope:
             raise FlightError(phase.name, t, reason)
 
     def _fault(self, phase: MissionPhase, t: float, elapsed: float, s: Sensed) -> str | None:
-        limits = self.limits
         if not isfinite(s.altitude + s.airspeed + s.roll + s.pitch + s.heading + s.p + s.q + s.r + s.alpha):
             return "the state is no longer finite"
         if elapsed > phase.limit_s:
             return f"not finished within {phase.limit_s:g} s"
-        if phase.name in ("takeoff", "initial_climb"):
-            return self._takeoff_fault(s)
+        if phase.name == "takeoff":
+            return self._runway_fault(s)
+        if phase.name == "initial_climb":
+            return self._runway_fault(s) or self._airborne_fault(s, may_touch=elapsed < BOUNCE_S)
         if t >= self.plan.s_start_s and phase.name in ("climb", "capture"):
             return (
                 f"level flight at {self.plan.altitude_m:g} m and {self.plan.speed_mps:g} m/s has not settled"
                 f" when the S-manoeuvre is due (now {s.altitude:.1f} m, {s.airspeed:.1f} m/s)"
             )
-        if s.on_wheels or s.height < 0.0:
+        reason = self._airborne_fault(s, may_touch=False)
+        if reason:
+            return reason
+        error = s.altitude - self.plan.altitude_m
+        if error > ALTITUDE_BUST_M or (phase.name != "climb" and error < -ALTITUDE_BUST_M):
+            return (
+                f"altitude {s.altitude:.1f} m, more than {ALTITUDE_BUST_M:g} m off {self.plan.altitude_m:g} m"
+            )
+        return None
+
+    def _airborne_fault(self, s: Sensed, may_touch: bool) -> str | None:
+        limits = self.limits
+        if s.height < 0.0 or (s.on_wheels and not may_touch):
             return "ground contact in flight"
         alpha = degrees(s.alpha)
         if not limits.alpha_min_deg <= alpha <= limits.alpha_max_deg:
@@ -74,14 +91,9 @@ class Envelope:
             )
         if abs(degrees(s.roll)) > limits.bank_deg:
             return f"bank {degrees(s.roll):.1f} deg beyond {limits.bank_deg:g} deg"
-        error = s.altitude - self.plan.altitude_m
-        if error > ALTITUDE_BUST_M or (phase.name != "climb" and error < -ALTITUDE_BUST_M):
-            return (
-                f"altitude {s.altitude:.1f} m, more than {ALTITUDE_BUST_M:g} m off {self.plan.altitude_m:g} m"
-            )
         return None
 
-    def _takeoff_fault(self, s: Sensed) -> str | None:
+    def _runway_fault(self, s: Sensed) -> str | None:
         runway = self.plan.start.runway_length_m
         if s.distance > runway:
             return f"runway of {runway:g} m overrun at {s.airspeed:.1f} m/s"

@@ -163,8 +163,8 @@ def with_airframe(monkeypatch, **changes):
         ({"engines": 0}, "takeoff", "not finished within 90 s"),
         ({"engines": 3}, "preparation", r"no property 'fcs/throttle-cmd-norm\[1\]'"),
         ({"model": "no-such-aircraft"}, "preparation", "no usable model"),
-        ({"limits__alpha_max_deg": 3.0}, "climb", "stall: angle of attack"),
-        ({"limits__load_factor_max_g": 1.1}, "climb", "load factor"),
+        ({"limits__alpha_max_deg": 3.0}, "initial_climb", "stall: angle of attack"),
+        ({"limits__load_factor_max_g": 1.1}, "initial_climb", "load factor"),
         ({"limits__bank_deg": 40.0, "rotation_speed_mps": 149.0}, "takeoff", "runway of 1000 m overrun"),
     ],
 )
@@ -221,6 +221,33 @@ def test_ground_contact_and_lost_state_end_a_flight():
         monitor.check(phase, 200.0, 50.0, replace(sensed, on_wheels=True))
     with pytest.raises(FlightError, match="no longer finite"):
         monitor.check(phase, 200.0, 50.0, replace(sensed, q=float("nan")))
+
+
+@pytest.mark.parametrize(
+    ("changes", "elapsed", "reason"),
+    [
+        ({"alpha": np.radians(25.1)}, 0.5, r"stall: angle of attack 25\.1 deg"),
+        ({"alpha": np.radians(-8.1)}, 0.5, "stall"),
+        ({"load_factor": 7.1}, 0.5, r"load factor 7\.10 g"),
+        ({"roll": np.radians(71.0)}, 0.5, "bank"),
+        ({"height": -0.1}, 0.5, "ground contact"),
+        ({"on_wheels": True}, 2.5, "ground contact"),
+        ({"on_wheels": True}, 0.5, None),
+        ({"distance": 3501.0}, 0.5, "runway of 3500 m overrun"),
+        ({"heading": 0.4}, 0.5, "left the runway's heading"),
+        ({}, 2.5, None),
+    ],
+)
+def test_the_initial_climb_is_watched(changes, elapsed, reason):
+    plan = FlightPlan(start=Start(heading_deg=0.0))
+    monitor = envelope.Envelope(plan, load_airframe("f16"))
+    phase = next(p for p in simulator.mission_phases(plan, load_airframe("f16")) if p.name == "initial_climb")
+    sensed = guidance.Sensed(10.0, 5.0, 5.0, 90.0, 0, 0.17, 0, 0, 0, 0, 0.1, 1.0, 5e3, False, 1e3)
+    if reason is None:
+        monitor.check(phase, 20.0, elapsed, replace(sensed, **changes))
+        return
+    with pytest.raises(FlightError, match=f"phase initial_climb at 20.00 s: {reason}"):
+        monitor.check(phase, 20.0, elapsed, replace(sensed, **changes))
 
 
 def test_airframes_by_name():
