@@ -33,10 +33,3 @@ def mean_band(dimension: int, samples: int, probability: float = 0.95) -> tuple[
     tail = (1 - probability) / 2
     low, high = chi_square_quantile([tail, 1 - tail], dimension * samples) / samples
     return float(low), float(high)
-
-
-def rms_interval(rms: ArrayLike, samples: int, probability: float = 0.95) -> Array:
-    """Confidence interval, shape (..., 2), of an RMS over ``samples`` independent zero-mean errors."""
-    tail = (1 - probability) / 2
-    scale = np.sqrt(samples / chi_square_quantile([1 - tail, tail], samples))
-    return np.asarray(rms, float)[..., None] * scale
