@@ -1,6 +1,8 @@
 """Many runs of a scenario: one flight; each run has its own sensor errors and fixes, seen by all filters."""
 
 import os
+import subprocess
+import sys
 import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -12,11 +14,12 @@ import numpy as np
 from ..aircraft.flight import Flight
 from ..align.bound import stamped_bound
 from ..align.estimate import Array, Estimate
-from ..align.filters import FILTERS, align
+from ..align.filters import FILTERS, FilterSettings, align
 from ..network.fixes import Fixes
 from ..network.source import draw_fixes
 from ..sins import attitude
-from ..sins.imu import Imu, simulate_imu
+from ..sins.earth import GravityModel
+from ..sins.imu import Imu, ImuErrors, simulate_imu
 from ..sins.units import DEG
 from .scenario import CoarseAttitude, Scenario, ScenarioError
 
@@ -121,6 +124,36 @@ def simulate_all(
                 pending.append(pool.submit(simulate, scenario, window, i, seed))
             if progress:
                 progress(done, runs)
+
+
+def compile_ahead() -> "subprocess.Popen[bytes]":
+    """Compile the filters' loop in a process of its own, while this one flies.
+
+    Compiled code is kept on disk, so that this process finds it there. Wait for the process before aligning,
+    or both compile.
+    """
+    program = f"from {__name__} import compile_filters; compile_filters()"
+    nowhere = subprocess.DEVNULL
+    return subprocess.Popen([sys.executable, "-c", program], stdin=nowhere, stdout=nowhere, stderr=nowhere)
+
+
+def compile_filters() -> None:
+    """Call the filters' loop once, on a record of two samples."""
+    nothing, none, ids = np.zeros((2, 3)), np.empty(0), np.empty(0, np.int64)
+    vectors = np.empty((0, 3))
+    fixes = Fixes(none, none, none, vectors, vectors, np.empty((0, 6, 6)), ids, ids)
+    for delay in FILTERS.values():
+        align(
+            np.arange(2.0),
+            nothing,
+            nothing,
+            np.array([1.0, 0.0, 0.0, 0.0]),
+            fixes,
+            delay,
+            FilterSettings(),
+            ImuErrors(),
+            GravityModel.J2,
+        )
 
 
 def bound_of(scenario: Scenario, window: Flight) -> Estimate:
