@@ -212,7 +212,11 @@ def fly(plan: FlightPlan, progress: Progress | None = None) -> Flight:
 
 
 def _flight(
-    plan: FlightPlan, airframe: Airframe, record: array, earth_angle: float, phases: tuple[Phase, ...]
+    plan: FlightPlan,
+    airframe: Airframe,
+    record: "array[float]",
+    earth_angle: float,
+    phases: tuple[Phase, ...],
 ) -> Flight:
     rows = np.frombuffer(record).reshape(-1, 9)
     rate = plan.model_rate_hz

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -256,7 +256,7 @@ def _progress(what: str, silent: bool) -> Iterator[Callable[[float, float], None
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def _results(settings: "Scenario", summary: dict) -> Table:
+def _results(settings: "Scenario", summary: dict[str, Any]) -> Table:
     """The table of alignment errors, the paper's and the bound's beside ours."""
     table = Table(
         title=f"{settings.title}: RMS over {summary['runs']} runs after {settings.alignment.duration_s:g} s",
@@ -279,7 +279,7 @@ def _results(settings: "Scenario", summary: dict) -> Table:
     return table
 
 
-def _five(row: dict) -> list[str]:
+def _five(row: dict[str, Any]) -> list[str]:
     digits = {"roll_arcsec": 1, "pitch_arcsec": 1, "heading_arcmin": 2, "v_east_mps": 3, "v_north_mps": 3}
     return [_number(row[key], n) for key, n in digits.items()]
 
