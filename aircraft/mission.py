@@ -11,6 +11,8 @@ from .airframe import airframe_names
 
 GUIDANCE_RATE_HZ = 50
 """Rate of guidance, of the mission's phases and of the envelope monitor."""
+FASTEST_MODEL_HZ = 3200
+"""Highest rate of the flight model."""
 
 
 class Start(Settings):
@@ -95,9 +97,12 @@ class FlightPlan(Settings):
     """Of the turbulence."""
     imu_rate_hz: int = Field(default=100, ge=50, le=800)
     """Rate of the flight's rows."""
-    fdm_rate_hz: int = Field(default=0, ge=0, le=3200)
-    """Rate of the flight model; a multiple of the IMU's and of 50 Hz. 0: the least of these from
-    500 Hz, in turbulence from 800 Hz."""
+    fdm_rate_hz: int = Field(default=0, ge=0, le=FASTEST_MODEL_HZ)
+    """Rate of the flight model; a multiple of the IMU's and of 50 Hz. 0: the least of these from 500 Hz.
+
+    In turbulence gusts shake the body within a step: from 800 Hz, with an IMU above 100 Hz from 1200 Hz, or
+    a perfect IMU no longer returns to the truth within 0.1 arcsec. An IMU below 100 Hz does not in
+    turbulence at any rate of the model: its own samples are too few for the coning."""
 
     @field_validator("airframe")
     @classmethod
@@ -108,11 +113,16 @@ class FlightPlan(Settings):
 
     @model_validator(mode="after")
     def _rates_divide(self) -> "FlightPlan":
-        rate = self.model_rate_hz
-        if rate % self.imu_rate_hz or rate % GUIDANCE_RATE_HZ or rate < 100:
+        rate, least = self.model_rate_hz, self._least_rate_hz
+        if rate > FASTEST_MODEL_HZ:
             raise ValueError(
-                f"fdm_rate_hz {rate}: at least 100, and a multiple of imu_rate_hz {self.imu_rate_hz}"
-                f" and of guidance's {GUIDANCE_RATE_HZ}"
+                f"imu_rate_hz {self.imu_rate_hz}: the flight model's rate, a multiple of it and of guidance's"
+                f" {GUIDANCE_RATE_HZ} Hz, would be {rate} Hz; allowed are {least} to {FASTEST_MODEL_HZ} Hz"
+            )
+        if rate % self.imu_rate_hz or rate % GUIDANCE_RATE_HZ or rate < least:
+            raise ValueError(
+                f"fdm_rate_hz {rate}: {least} to {FASTEST_MODEL_HZ} Hz in this air, and a multiple of"
+                f" imu_rate_hz {self.imu_rate_hz} and of guidance's {GUIDANCE_RATE_HZ}"
             )
         return self
 
@@ -121,9 +131,20 @@ class FlightPlan(Settings):
         """Rate at which the flight model runs."""
         if self.fdm_rate_hz:
             return self.fdm_rate_hz
-        least = 500 if self.air.turbulence is Turbulence.NONE else 800
         common = lcm(self.imu_rate_hz, GUIDANCE_RATE_HZ)
+        least = self._least_rate_hz if self._is_rough else 500
         return -(-least // common) * common
+
+    @property
+    def _is_rough(self) -> bool:
+        return self.air.turbulence is not Turbulence.NONE
+
+    @property
+    def _least_rate_hz(self) -> int:
+        """That a plan may state."""
+        if not self._is_rough:
+            return 100
+        return 800 if self.imu_rate_hz <= 100 else 1200
 
     @property
     def end_s(self) -> float:

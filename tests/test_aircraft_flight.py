@@ -127,6 +127,7 @@ QUICK = FlightPlan(s_start_s=130.0, s_maneuver=SManeuver(duration_s=5.0), tail_s
 
 @pytest.mark.parametrize("turbulence", [Turbulence.MILSPEC, Turbulence.TUSTIN])
 def test_turbulence_is_repeatable_and_seeded(turbulence):
+    # Slower than a plan may state in turbulence: the truth is coarse, but must repeat all the same.
     plan = QUICK.model_copy(update={"air": Air(turbulence=turbulence), "seed": 3})
     first, again = fly(plan), fly(plan)
     other = fly(plan.model_copy(update={"seed": 4}))
@@ -266,7 +267,28 @@ def test_rates_must_divide(rates):
         FlightPlan(**rates)
 
 
-@pytest.mark.parametrize(("imu_rate", "rate", "rough"), [(100, 500, 800), (200, 600, 800), (80, 800, 800)])
+@pytest.mark.parametrize(("imu_rate", "rate"), [(797, 39850), (333, 16650)])
+@pytest.mark.parametrize("turbulence", [Turbulence.NONE, Turbulence.MILSPEC])
+def test_an_imu_rate_that_would_drive_the_flight_model_too_fast_is_refused(imu_rate, rate, turbulence):
+    least = 100 if turbulence is Turbulence.NONE else 1200
+    with pytest.raises(ValueError, match=rf"would be {rate} Hz; allowed are {least} to 3200 Hz"):
+        FlightPlan(imu_rate_hz=imu_rate, air=Air(turbulence=turbulence))
+
+
+@pytest.mark.parametrize(("imu_rate", "rate", "least"), [(100, 400, 800), (50, 750, 800), (200, 1000, 1200)])
+@pytest.mark.parametrize("turbulence", [Turbulence.MILSPEC, Turbulence.TUSTIN])
+def test_a_slow_flight_model_is_refused_in_turbulence(imu_rate, rate, least, turbulence):
+    rates = {"imu_rate_hz": imu_rate, "air": Air(turbulence=turbulence)}
+    with pytest.raises(ValueError, match=f"fdm_rate_hz {rate}: {least} to 3200 Hz in this air"):
+        FlightPlan(fdm_rate_hz=rate, **rates)
+    assert FlightPlan(fdm_rate_hz=least, **rates).model_rate_hz == least
+    assert FlightPlan(fdm_rate_hz=rate, imu_rate_hz=imu_rate).model_rate_hz == rate
+
+
+@pytest.mark.parametrize(
+    ("imu_rate", "rate", "rough"),
+    [(100, 500, 800), (200, 600, 1200), (80, 800, 800), (400, 800, 1200), (800, 800, 1600), (64, 1600, 1600)],
+)
 def test_default_rate_of_the_flight_model(imu_rate, rate, rough):
     assert FlightPlan(imu_rate_hz=imu_rate).model_rate_hz == rate
     assert FlightPlan(imu_rate_hz=imu_rate, air=Air(turbulence=Turbulence.TUSTIN)).model_rate_hz == rough

@@ -115,6 +115,25 @@ def test_a_perfect_imu_returns_to_the_truth_in_turbulence():
     assert position < 1.0
 
 
+def test_a_fast_perfect_imu_returns_to_the_truth_in_turbulence():
+    air = Air(turbulence=Turbulence.MILSPEC, turbulence_severity=4)
+    plan = FlightPlan(s_start_s=145.0, s_maneuver=SManeuver(duration_s=5.0), air=air, seed=1, imu_rate_hz=400)
+    at_400_hz = fly(plan)
+    names = ("time", "lla", "v_n", "q_nb")
+    # The flight model runs at the same rate for 200 Hz.
+    assert plan.model_rate_hz == FlightPlan(imu_rate_hz=200, air=air).model_rate_hz
+    at_200_hz = replace(
+        at_400_hz,
+        **{name: getattr(at_400_hz, name)[::2].copy() for name in names},
+        dtheta_b=summed(at_400_hz.dtheta_b[1:], 2),
+        dv_b=summed(at_400_hz.dv_b[1:], 2),
+    )
+    for flight in (at_200_hz, at_400_hz):
+        arcsec, _, position = replayed(flight)
+        assert arcsec < 0.1
+        assert position < 1.0
+
+
 def test_the_wrong_gravity_model_drifts(whole_flight):
     _, _, position = replayed(replace(whole_flight, gravity=earth.GravityModel.SOMIGLIANA))
     assert position > 1.0
