@@ -21,6 +21,8 @@ LEVEL_LIMIT_ARCSEC = 60.0
 HEADING_LIMIT_ARCMIN = 5.0
 LEAST_RUNS = 30
 """From which a confidence interval is given."""
+FAILED_NEES = 300.0
+"""Of the misalignment at the end: ten standard deviations on each of three axes."""
 
 
 def errors_against(truth: Flight, estimate: Estimate) -> Array:
@@ -58,7 +60,9 @@ class FilterScore:
     fused : (runs,) number of fused fixes.
     delay : (runs, m) estimated mean delay, s.
     fix_outcomes : how many fixes ended in which way, over all runs.
-    failures : runs that failed, by id, with the reason.
+    failures : runs that failed, by id, with the reason: ``no_fix``, ``not_finite`` (see `RunOutcome`);
+        ``locked_out``, more than half of the fixes refused by the gate; ``diverged``, at the end no closer
+        to the true level or heading than at the start, or with a NEES beyond `FAILED_NEES`.
     """
 
     name: str
@@ -143,16 +147,20 @@ class Scorer:
             outcomes = self._outcomes.setdefault(name, dict.fromkeys(FixOutcome, 0))
             for outcome in FixOutcome:
                 outcomes[outcome] += estimate.count(outcome)
-            reason = self._failure(estimate, run, phi)
+            reason = self._failure(estimate, run, phi, float(misalignment_nees[-1]))
             if reason:
                 self._failures.setdefault(name, {})[run.run_id] = reason
 
-    def _failure(self, estimate: Estimate, run: Run, phi: Array) -> str | None:
-        """Why the run failed, or None: it did not last, or ended further off than it began."""
+    def _failure(self, estimate: Estimate, run: Run, phi: Array, final_nees: float) -> str | None:
+        """Why the run failed, or None."""
         if estimate.outcome is not RunOutcome.ALIGNED:
             return estimate.outcome.name.lower()
-        at_start = np.linalg.norm(attitude.misalignment(run.q_nb_coarse, self.truth.q_nb[0]))
-        return "diverged" if not np.linalg.norm(phi[-1]) < max(at_start, 1e-2) else None
+        if estimate.count(FixOutcome.GATED) > 0.5 * len(run.fixes):
+            return "locked_out"
+        at_start = attitude.misalignment(run.q_nb_coarse, self.truth.q_nb[0])
+        level, heading = np.linalg.norm(phi[-1, :2]), abs(phi[-1, 2])
+        closer = level < np.linalg.norm(at_start[:2]) and heading < abs(at_start[2])
+        return None if closer and final_nees < FAILED_NEES else "diverged"
 
     def scores(self) -> dict[str, FilterScore]:
         """Scores by filter name."""
