@@ -72,6 +72,11 @@ def flight_key(plan: FlightPlan) -> str:
     return digest.hexdigest()
 
 
+def is_cached(plan: FlightPlan) -> bool:
+    """Whether there is an entry for the plan, sound or not."""
+    return (cache_folder() / f"{flight_key(plan)}.npz").is_file()
+
+
 def cached_flight(
     plan: FlightPlan, use_cache: bool = True, progress: Progress | None = None
 ) -> tuple[Flight, bool]:

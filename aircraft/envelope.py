@@ -9,6 +9,8 @@ from .phases import MissionPhase
 
 ALTITUDE_BUST_M = 50.0
 """Departure from the altitude wanted that ends a flight in level flight and in the S."""
+LEAST_LEVEL_S = 1.0
+"""Settled level flight before the S-manoeuvre, s: what is reported of level flight needs some."""
 RUNWAY_HEADING_DEG = 20.0
 """Departure from the runway's heading that ends a take-off."""
 
@@ -59,7 +61,7 @@ class Envelope:
             return self._runway_fault(s)
         if phase.name == "initial_climb":
             return self._runway_fault(s) or self._airborne_fault(s, may_touch=elapsed < BOUNCE_S)
-        if t >= self.plan.s_start_s and phase.name in ("climb", "capture"):
+        if t >= self.plan.s_start_s - LEAST_LEVEL_S and phase.name in ("climb", "capture"):
             return (
                 f"level flight at {self.plan.altitude_m:g} m and {self.plan.speed_mps:g} m/s has not settled"
                 f" when the S-manoeuvre is due (now {s.altitude:.1f} m, {s.airspeed:.1f} m/s)"

@@ -4,16 +4,16 @@ import json
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import warnings
+from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
+
+from .terminal import deferred_interrupt, error_console, out_console, progress_bar, results_table
 
 if TYPE_CHECKING:
     from ..aircraft.flight import Flight
@@ -26,8 +26,6 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-out_console = Console()
-error_console = Console(stderr=True)
 
 ScenarioArgument = Annotated[str, typer.Argument(help="A bundled scenario (see `list`) or a TOML file.")]
 NoCache = Annotated[bool, typer.Option("--no-cache", help="Fly anew, and keep nothing.")]
@@ -44,8 +42,11 @@ def main() -> None:
     from ..aircraft.envelope import FlightError
     from .scenario import ScenarioError
 
+    warnings.showwarning = lambda message, *_, **__: error_console.print(f"warning: {message}")
     try:
         status = app(standalone_mode=False)
+        if status == 130:  # what typer makes of Ctrl-C
+            raise KeyboardInterrupt
     except typer.TyperException as error:
         status = _refuse(getattr(error, "format_message", error.__str__)())
     except (typer.Abort, KeyboardInterrupt):
@@ -60,7 +61,7 @@ def main() -> None:
 
 def _refuse(message: str) -> int:
     for line in message.splitlines():
-        error_console.print(f"fleetalign: {line}", markup=False, highlight=False, soft_wrap=True)
+        error_console.print(f"fleetalign: {line}", soft_wrap=True)
     return 2
 
 
@@ -79,17 +80,20 @@ def run(
     as_json: AsJson = False,
 ) -> None:
     """Fly a scenario, align on it many times, and write summary, estimates, recording and report."""
+    from ..aircraft.cache import is_cached
     from .outputs import estimates_writer, manifest, summarize, write_json
     from .recording import write_recording
     from .report import write_report
-    from .run import alignment_window, bound_of, simulate_all
+    from .run import alignment_window, bound_of, compiling_ahead, no_bound_because, simulate_all
     from .scenario import ScenarioError
     from .score import Scorer, standard_deviations
 
     name, settings = _load(scenario, runs, seed, filter_)
     folder = _output_folder(out or Path(f"fleetalign-{name}"))
     silent = quiet or as_json
-    flight = _flown(settings, no_cache, silent)
+    flown_before = is_cached(settings.flight) and not no_cache
+    with nullcontext() if flown_before else compiling_ahead():
+        flight = _flown(settings, no_cache, silent)
     try:
         window = alignment_window(settings, flight)
     except ScenarioError as error:
@@ -98,19 +102,18 @@ def run(
     first: Run | None = None
     done = 0
     with (
-        _progress("aligning", silent) as progress,
+        deferred_interrupt() as interrupted,
+        progress_bar("aligning", silent) as progress,
         estimates_writer(folder / "estimates.parquet", window, settings.imu.vibration_mps) as estimates,
     ):
-        try:
-            for done_run in simulate_all(settings, window, settings.runs, settings.seed, progress):
-                first = first or done_run
-                scorer.add(done_run)
-                estimates.add(done_run)
-                done += 1
-        except KeyboardInterrupt:
-            error_console.print(f"stopped after {done} of {settings.runs} runs; these are kept")
-            if first is None:
-                raise
+        for done_run in simulate_all(settings, window, settings.runs, settings.seed, progress):
+            first = first or done_run
+            scorer.add(done_run)
+            estimates.add(done_run)
+            done += 1
+            if interrupted():
+                error_console.print(f"stopped after {done} of {settings.runs} runs; these are kept")
+                break
     assert first is not None
     bound = bound_of(settings, window)
     bound_sd = standard_deviations(window, bound, settings.imu.vibration_mps)
@@ -120,7 +123,7 @@ def run(
     command = shlex.join(["fleetalign", *sys.argv[1:]])
     about = manifest(name, settings, settings.seed, done, command)
     write_json(folder / "manifest.json", about)
-    with _progress("recording and report", silent) as progress:
+    with progress_bar("recording and report", silent) as progress:
         write_recording(
             folder / "recording.rrd",
             settings.title,
@@ -136,14 +139,17 @@ def run(
     if as_json:
         typer.echo(json.dumps(summary, indent=2, allow_nan=False))
     elif not quiet:
-        out_console.print(_results(settings, summary))
+        out_console.print(results_table(settings, summary))
+        reason = no_bound_because(settings)
+        if reason:
+            out_console.print(f"no bound: {reason}")
         for filter_name, score in scores.items():
             for run_id, reason in score.failures.items():
-                out_console.print(f"[red]failed[/red] {filter_name}, run {run_id}: {reason}", highlight=False)
+                out_console.print(f"failed {filter_name}, run {run_id}: {reason}", style="red")
         for line in settings.paper.remarks if settings.paper else ():
-            out_console.print(f"[dim]-[/dim] {line}", highlight=False)
-        out_console.print(f"report     {folder / 'report.html'}", highlight=False, soft_wrap=True)
-        out_console.print(f"recording  {folder / 'recording.rrd'}", highlight=False, soft_wrap=True)
+            out_console.print(f"- {line}")
+        out_console.print(f"report     {folder / 'report.html'}", soft_wrap=True)
+        out_console.print(f"recording  {folder / 'recording.rrd'}", soft_wrap=True)
     if view:
         subprocess.Popen(
             [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(folder / "recording.rrd")]
@@ -171,7 +177,7 @@ def fly(
     if as_json:
         typer.echo(json.dumps(flight.summary, indent=2))
     elif not quiet:
-        table = Table("phase", "from, s", "to, s", "altitude, m", "speed, m/s", title=settings.title)
+        table = Table("phase", "from, s", "to, s", "altitude, m", "speed, m/s", title=Text(settings.title))
         for phase in flight.phases:
             lla, v_n, _ = flight.at([phase.start_s, phase.end_s])
             speeds = [float((v**2).sum() ** 0.5) for v in v_n]
@@ -185,7 +191,7 @@ def fly(
         out_console.print(table)
         for key, value in flight.summary.items():
             shown = value if isinstance(value, str) else f"{value:.2f}"
-            out_console.print(f"{key:24} {shown}", highlight=False)
+            out_console.print(f"{key:24} {shown}")
 
 
 @app.command()
@@ -196,7 +202,7 @@ def check(scenario: ScenarioArgument) -> None:
 
     name, settings = _load(scenario)
     Envelope(settings.flight, load_airframe(settings.flight.airframe))
-    out_console.print(f"{name}: {settings.title}: good", highlight=False, soft_wrap=True)
+    out_console.print(f"{name}: {settings.title}: good", soft_wrap=True)
 
 
 @app.command("list")
@@ -208,7 +214,7 @@ def list_() -> None:
 
     table = Table("kind", "name", "what")
     for name in scenario_names():
-        table.add_row("scenario", name, load_scenario(name)[1].title)
+        table.add_row("scenario", name, Text(load_scenario(name)[1].title))
     for name in airframe_names():
         table.add_row("airframe", name, "")
     for name, delay in FILTERS.items():
@@ -231,7 +237,7 @@ def _load(
 def _flown(settings: "Scenario", no_cache: bool, silent: bool) -> "Flight":
     from ..aircraft.cache import cached_flight
 
-    with _progress(f"flying {settings.flight.airframe}", silent) as progress:
+    with progress_bar(f"flying {settings.flight.airframe}", silent) as progress:
         flight, _ = cached_flight(settings.flight, use_cache=not no_cache, progress=progress)
     return flight
 
@@ -245,47 +251,6 @@ def _output_folder(folder: Path) -> Path:
     except OSError as error:
         raise InputError(f"--out {folder}: cannot be written: {error.strerror}") from error
     return folder
-
-
-@contextmanager
-def _progress(what: str, silent: bool) -> Iterator[Callable[[float, float], None]]:
-    """A progress bar on the terminal's error stream; call what it yields with (done, total)."""
-    columns = TextColumn("{task.description:22}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=error_console, disable=silent, transient=True) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-def _results(settings: "Scenario", summary: dict[str, Any]) -> Table:
-    """The table of alignment errors, the paper's and the bound's beside ours."""
-    table = Table(
-        title=f"{settings.title}: RMS over {summary['runs']} runs after {settings.alignment.duration_s:g} s",
-        caption=f"paper: {settings.paper.source}" if settings.paper else None,
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-        padding=(0, 0, 0, 1),
-    )
-    table.add_column("", no_wrap=True)
-    columns = {"roll": "arcsec", "pitch": "arcsec", "heading": "arcmin", "vE": "m/s", "vN": "m/s"}
-    for heading, unit in {**columns, "NEES": "of 3", "NIS": "of 6", "failed": "runs"}.items():
-        table.add_column(f"{heading}\n{unit}", justify="right", no_wrap=True)
-    for name, row in summary["filters"].items():
-        consistency = [_number(row["nees"], 2), _number(row["nis"], 2), str(row["failed_runs"])]
-        table.add_row(name, *_five(row), *consistency)
-    table.add_row("bound, stamped", *_five(summary["bound"]["stamped"]), style="dim")
-    if settings.paper:
-        for name in ("ekf", "l2linf"):
-            table.add_row(f"paper, {name}", *_five(summary["paper"][name]), style="cyan")
-    return table
-
-
-def _five(row: dict[str, Any]) -> list[str]:
-    digits = {"roll_arcsec": 1, "pitch_arcsec": 1, "heading_arcmin": 2, "v_east_mps": 3, "v_north_mps": 3}
-    return [_number(row[key], n) for key, n in digits.items()]
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
 
 
 if __name__ == "__main__":

@@ -149,7 +149,7 @@ def _comparison(summary: dict[str, Any]) -> list[tuple[str, list[tuple[float | N
     paper, ours = summary["paper"], summary["filters"]
     lines = []
     for name in paper:
-        lines.append((f"paper, {name}", [(paper[name][c], _DIGITS[c]) for c in COLUMNS]))
+        lines.append((f"paper, {name}", [(paper[name][c], max(_DIGITS[c], 2)) for c in COLUMNS]))
         if name in ours:
             lines.append((f"here, {name}", [(ours[name][c], _DIGITS[c]) for c in COLUMNS]))
     for whose, table in (("paper", paper), ("here", ours)):

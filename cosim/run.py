@@ -6,6 +6,7 @@ import sys
 import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -126,15 +127,22 @@ def simulate_all(
                 progress(done, runs)
 
 
-def compile_ahead() -> "subprocess.Popen[bytes]":
-    """Compile the filters' loop in a process of its own, while this one flies.
+@contextmanager
+def compiling_ahead() -> Iterator[None]:
+    """Compile the filters' loop in a process of its own, while this one does something else.
 
-    Compiled code is kept on disk, so that this process finds it there. Wait for the process before aligning,
-    or both compile.
+    Compiled code is kept on disk, so that this process finds it there when the context ends.
     """
     program = f"from {__name__} import compile_filters; compile_filters()"
     nowhere = subprocess.DEVNULL
-    return subprocess.Popen([sys.executable, "-c", program], stdin=nowhere, stdout=nowhere, stderr=nowhere)
+    process = subprocess.Popen([sys.executable, "-c", program], stdin=nowhere, stdout=nowhere, stderr=nowhere)
+    try:
+        yield
+    except BaseException:
+        process.terminate()
+        raise
+    finally:
+        process.wait()
 
 
 def compile_filters() -> None:

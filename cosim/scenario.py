@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import tomllib
 from importlib import resources
 from pathlib import Path
@@ -64,14 +65,14 @@ class AlignmentSettings(Settings):
     filters: tuple[str, ...] = tuple(FILTERS)
     settings: FilterSettings = FilterSettings()
 
-    @field_validator("start")
+    @field_validator("start", mode="before")
     @classmethod
-    def _in_the_mission(cls, start: str | float) -> str | float:
-        if isinstance(start, str) and start not in PHASE_NAMES:
-            raise ValueError(f"no such phase; known: {', '.join(PHASE_NAMES)}, or seconds from brake release")
-        if not isinstance(start, str) and start < 0:
-            raise ValueError("allowed is [0, inf) s")
-        return start
+    def _in_the_mission(cls, start: Any) -> str | float:
+        if isinstance(start, str) and start in PHASE_NAMES:
+            return start
+        if isinstance(start, int | float) and not isinstance(start, bool) and 0 <= start < math.inf:
+            return float(start)
+        raise ValueError(f"neither seconds from brake release nor a phase: {', '.join(PHASE_NAMES)}")
 
     @field_validator("filters")
     @classmethod
@@ -158,19 +159,19 @@ def load_scenario(name_or_path: str) -> tuple[str, Scenario]:
         text = SCENARIO_FOLDER.joinpath(name_or_path + ".toml").read_text("utf-8")
     else:
         path = Path(name_or_path)
-        if path.suffix != ".toml" and not path.exists():
-            known = ", ".join(scenario_names())
-            raise ScenarioError(f"{name_or_path}: neither a bundled scenario ({known}) nor a .toml file")
         name, folder = path.stem, path.parent
         try:
-            text = path.read_text("utf-8")
+            text = path.read_text("utf-8-sig")
         except OSError as error:
-            raise ScenarioError(f"{name_or_path}: cannot be read: {error.strerror}") from error
+            why = f"cannot be read: {error.strerror}"
+            if path.suffix != ".toml":
+                why = f"neither a bundled scenario ({', '.join(scenario_names())}) nor a .toml file"
+            raise ScenarioError(f"{_shortened(name_or_path)}: {why}") from error
         except UnicodeDecodeError as error:
             raise ScenarioError(f"{name_or_path}: not UTF-8 text, at byte {error.start}") from error
     try:
         content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise ScenarioError(f"{name_or_path}: not TOML: {error}") from error
     return name, _validated(name_or_path, content, folder)
 
@@ -208,11 +209,15 @@ def _told(file: str, mistake: Any) -> str:
     if kind in ("missing", "extra_forbidden"):
         return f"{file}: {field}: {'missing' if kind == 'missing' else 'unknown field'}"
     unit = _unit(field)
-    shown = "a table" if isinstance(value, dict) else f"{value!r} {unit}".rstrip()
+    shown = f" = {_shortened(repr(value))} {unit}".rstrip() if not isinstance(value, dict) else ""
     told = mistake["msg"].removeprefix("Value error, ")
     if allowed:
         told = f"allowed is {allowed} {unit}".rstrip()
-    return f"{file}: {field} = {shown}: {told}"
+    return f"{file}: {field}{shown}: {told}"
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _declared(location: tuple[str | int, ...]) -> tuple[list[str], str]:

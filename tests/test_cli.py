@@ -1,6 +1,8 @@
 """The command line: what it writes, what it prints, and how it refuses."""
 
 import json
+import os
+import signal
 import sys
 
 import numpy as np
@@ -99,13 +101,17 @@ def test_run_that_is_stopped_keeps_what_it_has(command, tmp_path, monkeypatch):
         for run in real(*arguments):
             yield run
             if run.run_id == 1:
-                raise KeyboardInterrupt
+                os.kill(os.getpid(), signal.SIGINT)
 
     monkeypatch.setattr(run_module, "simulate_all", stopping)
     status, _, err = command("run", "--runs", 30, "--quiet", "--out", tmp_path)
     assert status == 1
-    assert "after 2 of 30" in err
-    assert json.loads((tmp_path / "summary.json").read_text())["runs"] == 2
+    assert "after 3 of 30" in err
+    # The run in hand when Ctrl-C came is done whole, for all filters and in all files.
+    assert json.loads((tmp_path / "summary.json").read_text())["runs"] == 3
+    rows = pq.read_table(tmp_path / "estimates.parquet").group_by(["run", "filter"]).aggregate([])
+    assert rows.num_rows == 3 * 3
+    assert json.loads((tmp_path / "manifest.json").read_text())["runs"] == 3
     assert {path.name for path in tmp_path.iterdir()} == FILES
 
 
@@ -182,6 +188,7 @@ def test_check_and_list(command):
     ("arguments", "told"),
     [
         (("check", "nothing.toml"), "nothing.toml: cannot be read"),
+        (("check", "n" * 300), "neither a bundled scenario"),
         (("run", "--runs", "0"), "option: runs = 0: allowed is [1, 100000]"),
         (("run", "--runs", "many"), "--runs"),
         (("run", "--seed", "-1"), "option: seed = -1"),
@@ -223,8 +230,17 @@ def test_flight_model_at_fault_is_not_the_users_mistake(command, monkeypatch):
 @pytest.mark.parametrize(
     ("line", "told"),
     [
-        ('[alignment]\nstart = "landing"', "alignment.start = 'landing': no such phase"),
-        ("[alignment]\nstart = -1.0", "alignment.start = -1.0: allowed is [0, inf) s"),
+        ('[alignment]\nstart = "landing"', "alignment.start = 'landing': neither seconds"),
+        ("[alignment]\nstart = -1.0", "alignment.start = -1.0: neither seconds"),
+        ("[alignment]\nstart = inf", "alignment.start = inf: neither seconds"),
+        ("[alignment]\nstart = true", "alignment.start = True: neither seconds"),
+        ("[alignment]\nstart = [1]", "alignment.start = [1]: neither seconds"),
+        ("[imu]\nvibration_mps = true", "imu.vibration_mps = True m/s: allowed is [0, 10] m/s"),
+        ('runs = "100"', "runs = '100': allowed is [1, 100000]"),
+        ("fixes = 3", "fixes = 3:"),
+        ("[[fixes]]", "fixes"),
+        (f"seed = {'9' * 5000}", "not TOML"),
+        (f"a = {'[' * 20000}", "not TOML"),
         ("[alignment]\nstart = 9000.0", "alignment from 9000 s for 40 s does not end before the flight"),
         ("[alignment]\nduration_s = 60", "alignment from 500 s for 60 s does not end before the flight"),
         ("[flight.s_maneuver]\nlateral_acceleration_mps2 = 25", "guidance allows the F-16"),
@@ -238,6 +254,26 @@ def test_check_refuses_what_cannot_be_run(command, tmp_path, line, told):
     assert status == 2
     assert told in err
     assert len(err.splitlines()) == 1
+
+
+def test_titles_and_paths_are_printed_as_they_are(command, tmp_path):
+    scenario = tmp_path / "marked.toml"
+    scenario.write_text(SHORT.replace("A short alignment", "[/bold] [red]x"), "utf-8")
+    assert "[/bold] [red]x" in command("check", scenario)[1]
+    status, out, _ = command("run", scenario, "--runs", 1, "--out", tmp_path / "out[b]x")
+    assert status == 0
+    assert "[/bold] [red]x" in out
+    assert "out[b]x/report.html" in out.replace("\n", "")
+
+
+def test_level_flight_must_last_a_moment(command, tmp_path):
+    settled = json.loads(command("fly", "gao2009", "--json")[1])["s_start_s"]
+    assert settled == 500
+    scenario = tmp_path / "early.toml"
+    scenario.write_text('title = "x"\n[flight]\ns_start_s = 120.5\n', "utf-8")
+    status, _, err = command("fly", scenario, "--quiet")
+    assert status == 2
+    assert "has not settled" in err
 
 
 def test_alignment_in_a_phase_that_ends_too_late_ends_with_one_line(command, tmp_path):

@@ -110,7 +110,7 @@ def test_headline_says_who_reaches_the_bound_and_what_failed(report):
 def test_paper_stands_beside_ours(report):
     html, summary = report
     rows = {row[0]: row[1:] for row in table_after(html, "Beside Gao et al., Table 3")}
-    assert rows["paper, ekf"] == ["30.1", "33.8", "5.12", "0.023", "0.035"]
+    assert rows["paper, ekf"] == ["30.15", "33.76", "5.12", "0.023", "0.035"]
     assert rows["here, l2linf"][0] == f"{summary['filters']['l2linf']['roll_arcsec']:.1f}"
     assert rows["paper, l2linf / ekf"] == ["0.70", "0.63", "0.69", "0.52", "0.63"]
     ours = summary["filters"]
