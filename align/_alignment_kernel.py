@@ -3,6 +3,9 @@
 Built on the steps of `align._kernels`.
 """
 
+# Types of compiled functions are those of their docstrings; numba infers them.
+# pyright: reportMissingParameterType=false, reportUnknownParameterType=false
+
 import math
 
 import numpy as np

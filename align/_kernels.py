@@ -6,6 +6,9 @@ State vector ``X``, shape (18,): lla 0:3, v_n 3:6, q_nb 6:10, accelerometer bias
 `align.measurement`.
 """
 
+# Types of compiled functions are those of their docstrings; numba infers them.
+# pyright: reportMissingParameterType=false, reportUnknownParameterType=false
+
 import math
 
 from numba import njit

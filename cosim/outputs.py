@@ -139,7 +139,7 @@ class EstimatesWriter:
         if len(self._tables) >= _RUNS_PER_ROW_GROUP * len(run.estimates):
             self.flush()
 
-    def _table(self, run_id: int, name: str, estimate: Estimate) -> pa.Table:
+    def _table(self, run_id: int, name: str, estimate: Estimate) -> pa.Table:  # pyright: ignore[reportUnknownParameterType]
         m = len(estimate.time)
         columns: dict[str, Any] = {
             "run": np.full(m, run_id, np.int32),

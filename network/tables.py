@@ -91,7 +91,7 @@ def check_range(file: Path, column: str, values: Array, low: float, high: float)
     check_rows(file, column, values, (values >= low) & (values <= high), f"{low:.10g} to {high:.10g}")
 
 
-def _read_table(file: Path) -> pa.Table:
+def _read_table(file: Path) -> pa.Table:  # pyright: ignore[reportUnknownParameterType]
     try:
         match file.suffix.lower():
             case ".csv":
@@ -106,7 +106,7 @@ def _read_table(file: Path) -> pa.Table:
         raise TableError(file, " ".join(str(error).split())) from error
 
 
-def _numbers(file: Path, column: str, table: pa.Table) -> Array:
+def _numbers(file: Path, column: str, table: pa.Table) -> Array:  # pyright: ignore[reportUnknownParameterType]
     cells = table.column(column)
     kind = cells.type
     if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)):

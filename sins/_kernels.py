@@ -5,6 +5,9 @@ Each kernel has a readable numpy twin, which the tests hold it to: `mechanizatio
 vectors keep everything in registers.
 """
 
+# Types of compiled functions are those of their docstrings; numba infers them.
+# pyright: reportMissingParameterType=false, reportUnknownParameterType=false
+
 import math
 
 import numpy as np

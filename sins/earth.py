@@ -12,10 +12,14 @@ References
 """
 
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import ArrayLike, NDArray
+
+Real = Any
+"""A number or an array of numbers: the formulas that are compiled take and give either."""
 
 EQUATORIAL_RADIUS = 6378137.0
 """Semi-major axis, m."""
@@ -49,7 +53,7 @@ class GravityModel(IntEnum):
 
 
 @register_jitable
-def radii_of_curvature(lat):
+def radii_of_curvature(lat: Real) -> tuple[Real, Real]:
     """Meridian and transverse radius of curvature of the ellipsoid.
 
     Parameters: ``lat``, geodetic latitude, rad. Returns ``(R_N, R_E)``, m ([2]_ 2.105 and 2.106).
@@ -58,7 +62,7 @@ def radii_of_curvature(lat):
 
 
 @register_jitable
-def radii_by_sine(sin_lat):
+def radii_by_sine(sin_lat: Real) -> tuple[Real, Real]:
     """`radii_of_curvature` for loops that have the sine of the latitude at hand."""
     x = 1 - ECCENTRICITY_SQUARED * sin_lat**2
     R_E = EQUATORIAL_RADIUS / np.sqrt(x)
@@ -66,7 +70,7 @@ def radii_by_sine(sin_lat):
 
 
 @register_jitable
-def gravity_j2(sin_lat, cos_lat, height):
+def gravity_j2(sin_lat: Real, cos_lat: Real, height: Real) -> tuple[Real, Real]:
     """Gravity (gravitation and centrifugal) of the J2 earth, resolved in n.
 
     Parameters: sine and cosine of geodetic latitude; ``height``, m. Returns ``(g_north, g_down)``,
@@ -86,7 +90,7 @@ def gravity_j2(sin_lat, cos_lat, height):
 
 
 @register_jitable
-def gravity_somigliana(sin_lat, cos_lat, height):
+def gravity_somigliana(sin_lat: Real, cos_lat: Real, height: Real) -> tuple[Real, Real]:
     """Normal gravity on the ellipsoid (Somigliana) carried to height by a second-order formula.
 
     Parameters and returns as `gravity_j2`. Down: [1]_ 4-1 and 4-3; north, the curvature of the plumb
@@ -100,7 +104,7 @@ def gravity_somigliana(sin_lat, cos_lat, height):
 
 
 @register_jitable
-def gravity_by_sine(model, sin_lat, cos_lat, height):
+def gravity_by_sine(model: int, sin_lat: Real, cos_lat: Real, height: Real) -> tuple[Real, Real]:
     """`gravity` for loops that have the sine and the cosine of the latitude at hand."""
     if model == 0:
         return gravity_j2(sin_lat, cos_lat, height)
@@ -108,7 +112,7 @@ def gravity_by_sine(model, sin_lat, cos_lat, height):
 
 
 @register_jitable
-def gravity(model, lat, height):
+def gravity(model: int, lat: Real, height: Real) -> tuple[Real, Real]:
     """Gravity of a named model.
 
     Parameters: ``model``, a `GravityModel`; ``lat``, geodetic, rad; ``height``, m.
@@ -118,13 +122,13 @@ def gravity(model, lat, height):
 
 
 @register_jitable
-def earth_rate_n(lat):
+def earth_rate_n(lat: Real) -> tuple[Real, Real, Real]:
     """Earth rate resolved in n, ``(north, east, down)``, rad/s; ``lat`` in rad ([2]_ 2.123)."""
     return EARTH_RATE * np.cos(lat), 0.0 * lat, -EARTH_RATE * np.sin(lat)
 
 
 @register_jitable
-def transport_rate_n(lat, height, v_north, v_east):
+def transport_rate_n(lat: Real, height: Real, v_north: Real, v_east: Real) -> tuple[Real, Real, Real]:
     """Rate of n relative to e resolved in n, ``(north, east, down)``, rad/s ([2]_ 5.44).
 
     Parameters: ``lat``, rad; ``height``, m; ``v_north`` and ``v_east``, m/s relative to the earth.
