@@ -26,7 +26,7 @@ from fleetalign.cosim.scenario import load_scenario
 
 @pytest.fixture(scope="session", autouse=True)
 def flight_cache(tmp_path_factory):
-    """Flights are kept for this test session alone, so that no test rests on an older flight."""
+    """Flights are kept for this run of the tests alone, so that none rests on an older flight."""
     previous = os.environ.get("FLEETALIGN_CACHE")
     folder = tmp_path_factory.mktemp("flights")
     os.environ["FLEETALIGN_CACHE"] = str(folder)
