@@ -100,7 +100,7 @@ class Flight:
         row = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 2)
         x = ((t - self.time[row]) / self.dt)[..., None]
         lla = _hermite(x, self.dt, self._unwrapped_lla, self._lla_rate, row)
-        lla[..., 1] = earth.wrapped(lla[..., 1])
+        lla[..., 1] = attitude.wrapped(lla[..., 1])
         v_n = _hermite(x, self.dt, self.v_n, self._v_n_rate, row)
         turn = attitude.to_rotvec(attitude.multiply(attitude.conjugate(self.q_nb[row]), self.q_nb[row + 1]))
         return lla, v_n, attitude.multiply(self.q_nb[row], attitude.from_rotvec(x * turn))

@@ -133,8 +133,11 @@ def skew(v: ArrayLike) -> Array:
 
 
 def wrapped(angle: ArrayLike) -> Array:
-    """Angle, rad, brought into [-pi, pi)."""
-    return (np.asarray(angle, float) + np.pi) % (2 * np.pi) - np.pi
+    """The same angle in [-pi, pi), rad; to the last bit where it lies there already, NaN if infinite."""
+    angle = np.asarray(angle, float)
+    with np.errstate(invalid="ignore"):
+        turned = angle - 2 * np.pi * np.floor((angle + np.pi) / (2 * np.pi))
+    return np.where(np.abs(angle) < np.pi, angle, turned)
 
 
 def misalignment(q_nb: ArrayLike, q_nb_true: ArrayLike) -> Array:

@@ -18,6 +18,8 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import ArrayLike, NDArray
 
+from .attitude import wrapped
+
 Real = Any
 """A number or an array of numbers: the formulas that are compiled take and give either."""
 
@@ -179,14 +181,6 @@ def C_en(lat: ArrayLike, lon: ArrayLike) -> NDArray[np.float64]:
     east = np.stack([-sin_lon, cos_lon, np.zeros_like(lat)], axis=-1)
     down = np.stack([-cos_lat * cos_lon, -cos_lat * sin_lon, -sin_lat], axis=-1)
     return np.stack([north, east, down], axis=-1)
-
-
-def wrapped(angle: ArrayLike) -> NDArray[np.float64]:
-    """The same angle in [-pi, pi), rad; to the last bit where it lies there already, NaN if infinite."""
-    angle = np.asarray(angle, float)
-    with np.errstate(invalid="ignore"):
-        turned = angle - 2 * np.pi * np.floor((angle + np.pi) / (2 * np.pi))
-    return np.where(np.abs(angle) < np.pi, angle, turned)
 
 
 def displacement_n(lla: ArrayLike, lla_reference: ArrayLike) -> NDArray[np.float64]:

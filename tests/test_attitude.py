@@ -173,3 +173,11 @@ def test_attitude_error_matrix_is_the_derivative_of_the_error(roll, pitch, headi
         rtol=0,
         atol=2e-15 / np.cos(pitch) ** 3 + 1e-14,
     )
+
+
+def test_wrapped_angles():
+    angles = [-np.pi, np.pi, 3.0, 3 * np.pi + 0.5, -4.0, 1e-20, np.nan, np.inf]
+    expected = [-np.pi, -np.pi, 3.0, -np.pi + 0.5, 2 * np.pi - 4.0, 1e-20, np.nan, np.nan]
+    np.testing.assert_allclose(attitude.wrapped(angles), expected, rtol=1e-15)
+    for angle in np.nextafter([-np.pi, np.pi], [-4.0, 0.0]):
+        assert -np.pi <= attitude.wrapped(angle) < np.pi

@@ -68,14 +68,6 @@ def test_displacement_across_the_antimeridian(shape):
     np.testing.assert_allclose(back[..., 1], np.pi - 1e-6, rtol=0, atol=1e-9)
 
 
-def test_wrapped_angles():
-    angles = [-np.pi, np.pi, 3.0, 3 * np.pi + 0.5, -4.0, 1e-20, np.nan, np.inf]
-    expected = [-np.pi, -np.pi, 3.0, -np.pi + 0.5, 2 * np.pi - 4.0, 1e-20, np.nan, np.nan]
-    np.testing.assert_allclose(earth.wrapped(angles), expected, rtol=1e-15)
-    for angle in np.nextafter([-np.pi, np.pi], [-4.0, 0.0]):
-        assert -np.pi <= earth.wrapped(angle) < np.pi
-
-
 def potential_j2(r_e):
     """Gravity potential in e, m^2/s^2: point mass, J2 and centrifugal."""
     x, y, z = r_e
