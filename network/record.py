@@ -1,0 +1,77 @@
+"""What a run of the fleet's network leaves beside its fixes: for the report, the recording and the scores."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+
+class FixFate(IntEnum):
+    """What became of the own ship's fix of an epoch."""
+
+    DELIVERED = 0
+    TOO_FEW_NEIGHBOURS = 1
+    """Not made: fewer usable neighbours than a fix needs."""
+    UNLOCALIZABLE = 2
+    """Not made: the geometry leaves the position, or the velocity, too uncertain."""
+    AMBIGUOUS = 3
+    """Not made: a mirror image fits the ranges as well."""
+    INCONSISTENT = 4
+    """Not made: the residuals are larger than the noise allows."""
+    NOT_CONVERGED = 5
+    """Not made: the estimate did not settle."""
+    NO_ROUTE = 6
+    """Made, and lost: no way from its maker to the own ship."""
+    LOST = 7
+    """Made, and lost after the last retry, or in a queue that was full."""
+    STILL_QUEUED = 8
+    """Made, and still on its way when the network's time ended."""
+
+
+@dataclass(frozen=True)
+class NetworkRecord:
+    """One run of the network, k epochs of n nodes; node 0 is the own ship."""
+
+    time: Array
+    """(k,) s, at which positions and ranges are true."""
+    lla: Array
+    """(k, n, 3) true positions, rad, rad, m."""
+    anchor: Booleans
+    """(n,)."""
+    error_n: Array
+    """(k, n, 3) estimated less true position, NED at the fleet's centre, m; NaN where there is no estimate."""
+    sd_n: Array
+    """(k, n, 3) standard deviations that the estimator states, NED, m."""
+    velocity_error_n: Array
+    """(k, n, 3) NED, m/s."""
+    outcome: Integers
+    """(k, n) `localization.problem.NodeOutcome`."""
+    cov: Array
+    """(k, 6, 6) of the own ship's position and velocity, NED at the own ship, m and m/s."""
+    fate: Integers
+    """(k,) `FixFate` of the own ship's fix."""
+    delay: Array
+    """(k,) s, of the own ship's fixes; NaN where none arrived."""
+    fleet_delay: Array
+    """(p,) s, of all delivered packets of all nodes."""
+    link_time: Array
+    """(s,) s, at which the links are stated."""
+    linked: Booleans
+    """(s, n, n) pairs that range each other."""
+    head: Booleans
+    """(s, n) cluster heads; all False under DMDG."""
+    maker: int
+    """The node that makes the own ship's fixes."""
+    sent: int
+    """Packets handed to the network, of all nodes."""
+    delivered: int
+    """Packets that arrived, of all nodes."""
+    transmissions: int
+    """Slots used to carry them, retries included."""
+    slots: int
+    """Slots that went by."""
