@@ -4,16 +4,12 @@ Filters keep the colours of `palette`; the bound is a black dashed line. A band 
 percentile of the runs.
 """
 
-import io
 from collections.abc import Mapping
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from ..aircraft.flight import Flight
@@ -21,28 +17,14 @@ from ..align.consistency import mean_band
 from ..align.estimate import Array
 from ..sins import attitude
 from ..sins.units import DEG, MILLISECOND
+from .drawing import STYLE, WIDTH_IN, legend, log_scale, panels, svg
 from .palette import ALIGNMENT, filter_color
 from .scenery import local_ned, told
 from .score import COLUMNS, FilterScore
 
 Scores = Mapping[str, FilterScore]
 
-_STYLE: Any = {
-    "svg.fonttype": "none",  # text stays text, in the reader's font
-    "svg.hashsalt": "fleetalign",  # equal figures have equal text
-    "font.family": "sans-serif",
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.titlesize": 10,
-    "axes.titlelocation": "left",
-    "grid.color": "#E4E4E4",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-}
 _SINCE_START = "time from the start of the alignment, s"
-_WIDTH_IN = 11.0
 _LABELS = {
     "roll_arcsec": "roll error, arcsec",
     "pitch_arcsec": "pitch error, arcsec",
@@ -67,47 +49,16 @@ def draw_all(
     ``with_bands`` shows what independent runs of a consistent filter keep to.
     """
     estimating = {name: score for name, score in scores.items() if np.any(score.delay > 0)}
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figures = {
-            "attitude": _svg(_errors(scores, bound, COLUMNS[:3])),
-            "velocity": _svg(_errors(scores, bound, COLUMNS[3:], with_position=True)),
-            "consistency": _svg(_consistency(scores, with_bands)),
-            "flight": _svg(_flight(flight, window)),
+            "attitude": svg(_errors(scores, bound, COLUMNS[:3])),
+            "velocity": svg(_errors(scores, bound, COLUMNS[3:], with_position=True)),
+            "consistency": svg(_consistency(scores, with_bands)),
+            "flight": svg(_flight(flight, window)),
         }
         if estimating:
-            figures["delay"] = _svg(_delay(estimating, delay_mean_s))
+            figures["delay"] = svg(_delay(estimating, delay_mean_s))
     return figures
-
-
-def _svg(figure: Figure) -> str:
-    """The ``<svg>`` element of a figure, without the XML prologue."""
-    text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-    return text.getvalue()[text.getvalue().index("<svg") :]
-
-
-def _panels(rows: int, columns: int, height_in: float) -> tuple[Figure, NDArray[np.object_]]:
-    figure = Figure(figsize=(_WIDTH_IN, height_in))
-    axes = figure.subplots(rows, columns, squeeze=False)
-    left, wspace = 0.75 / _WIDTH_IN, 0.24
-    figure.subplots_adjust(
-        left=left, right=0.99, bottom=0.5 / height_in, top=1 - 0.42 / height_in, wspace=wspace, hspace=0.15
-    )
-    return figure, axes
-
-
-def _legend(figure: Figure, *axes: Axes) -> None:
-    """One legend for all panels, above them."""
-    entries = {
-        label: handle for ax in axes for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(
-        list(entries.values()),
-        list(entries),
-        loc="upper center",
-        ncols=len(entries),
-        bbox_to_anchor=(0.5, 1.0),
-    )
 
 
 def _spread(values: Array, quantiles: tuple[float, ...]) -> list[Array]:
@@ -118,26 +69,13 @@ def _spread(values: Array, quantiles: tuple[float, ...]) -> list[Array]:
     return [ordered[np.rint(q * last).astype(int), columns] for q in quantiles]
 
 
-def _log_scale(ax: Axes, bottom: float | None = None) -> None:
-    """Logarithmic, with plain numbers at the decades, and at twos and fives where there are few decades."""
-    if not np.isfinite(ax.dataLim.minposy):
-        return  # nothing to show
-    ax.set_yscale("log")
-    ax.set_ylim(bottom=bottom)
-    low, high = ax.get_ylim()
-    steps = (1.0,) if high > 300 * low else (1.0, 2.0, 5.0)
-    ax.yaxis.set_major_locator(LogLocator(subs=steps))
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
-    ax.yaxis.set_minor_locator(NullLocator())
-
-
 def _widths(scores: Scores) -> dict[str, float]:
     """Earlier filters are drawn broader, so that curves that coincide stay visible."""
     return {name: 1.3 + 0.8 * (len(scores) - 1 - i) for i, name in enumerate(scores)}
 
 
 def _errors(scores: Scores, bound: Array, columns: tuple[str, ...], with_position: bool = False) -> Figure:
-    figure, axes = _panels(1, 3, 3.6)
+    figure, axes = panels(1, 3, 3.6)
     for ax, column in zip(axes[0], columns, strict=False):
         i = COLUMNS.index(column)
         for name, score in scores.items():
@@ -147,15 +85,15 @@ def _errors(scores: Scores, bound: Array, columns: tuple[str, ...], with_positio
         ax.set(ylabel=_LABELS[column], xlabel=_SINCE_START)
         # Single runs come as near to zero as chance has it.
         known = bound[np.isfinite(bound[:, i]), i]
-        _log_scale(ax, bottom=0.2 * float(known.min()) if len(known) else None)
+        log_scale(ax, bottom=0.2 * float(known.min()) if len(known) else None)
     if with_position:
         ax = axes[0][2]
         for name, score in scores.items():
             distance = np.linalg.norm(score.position_errors, axis=2)
             _rms_with_spread(ax, name, score.time, distance, _widths(scores)[name])
         ax.set(ylabel="position error, m", xlabel=_SINCE_START)
-        _log_scale(ax)
-    _legend(figure, axes[0][0])
+        log_scale(ax)
+    legend(figure, axes[0][0])
     return figure
 
 
@@ -171,8 +109,7 @@ def _rms_with_spread(ax: Axes, name: str, time: Array, magnitude: Array, width: 
 
 
 def _consistency(scores: Scores, with_bands: bool) -> Figure:
-    figure, (panels,) = _panels(1, 2, 3.4)
-    over_time, histogram = panels
+    figure, ((over_time, histogram),) = panels(1, 2, 3.4)
     for name, score in scores.items():
         over_time.plot(
             score.time, score.mean_nees, color=filter_color(name), linewidth=_widths(scores)[name], label=name
@@ -182,7 +119,7 @@ def _consistency(scores: Scores, with_bands: bool) -> Figure:
         over_time.axhspan(*mean_band(3, max(runs, 1)), color="#DDDDDD", label="95 % band if consistent")
     over_time.axhline(3, color="black", linewidth=0.6)
     over_time.set(ylabel="NEES (3), mean over the runs", xlabel=_SINCE_START)
-    _log_scale(over_time)
+    log_scale(over_time)
 
     means = {name: score.nis[np.isfinite(score.nis)] for name, score in scores.items()}
     fixes = max(int(np.median(np.concatenate([score.fused for score in scores.values()]))), 1)
@@ -199,12 +136,12 @@ def _consistency(scores: Scores, with_bands: bool) -> Figure:
         label = f"expected of {fixes} fixes a run"
         histogram.plot(mean, expected, color="black", linestyle="--", linewidth=1, label=label)
     histogram.set(xlabel="NIS (6), mean over the fixes of a run", ylabel="runs")
-    _legend(figure, over_time, histogram)
+    legend(figure, over_time, histogram)
     return figure
 
 
 def _delay(scores: Scores, delay_mean_s: float) -> Figure:
-    figure, ((ax,),) = _panels(1, 1, 2.6)
+    figure, ((ax,),) = panels(1, 1, 2.6)
     for name, score in scores.items():
         low, middle, high = _spread(score.delay / MILLISECOND, (0.05, 0.5, 0.95))
         ax.fill_between(score.time, low, high, color=filter_color(name), alpha=0.2, linewidth=0)
@@ -217,12 +154,12 @@ def _delay(scores: Scores, delay_mean_s: float) -> Figure:
         label="mean delay of the fixes",
     )
     ax.set(ylabel="estimated mean delay, ms", xlabel=_SINCE_START)
-    _legend(figure, ax)
+    legend(figure, ax)
     return figure
 
 
 def _flight(flight: Flight, window: Flight) -> Figure:
-    figure = Figure(figsize=(_WIDTH_IN, 4.6))
+    figure = Figure(figsize=(WIDTH_IN, 4.6))
     grid = figure.add_gridspec(
         3, 2, width_ratios=[3, 2], left=0.07, right=0.99, bottom=0.11, top=0.93, hspace=0.18, wspace=0.16
     )
