@@ -27,7 +27,7 @@ MOST_DAMPING = 1e12
 @njit(inline="always", **COMPILED)
 def robust(t, loss, threshold):
     """Cost and weight of a residual in standard deviations."""
-    if loss == SQUARED or t <= threshold and (loss == ONE_SIDED or t >= -threshold):
+    if loss == SQUARED or (t <= threshold and (loss == ONE_SIDED or t >= -threshold)):
         return 0.5 * t * t, 1.0
     size = abs(t)
     return threshold * (size - 0.5 * threshold), threshold / size
@@ -53,7 +53,11 @@ def cost_of(S, rates_used, clocks, links, ranges, w_range, rates, w_rate, loss, 
         if rates_used:
             r = rates[m]
             if d > 0:
-                r -= (x * (S[i, V] - S[j, V]) + y * (S[i, V + 1] - S[j, V + 1]) + z * (S[i, V + 2] - S[j, V + 2])) / d
+                r -= (
+                    x * (S[i, V] - S[j, V])
+                    + y * (S[i, V + 1] - S[j, V + 1])
+                    + z * (S[i, V + 2] - S[j, V + 2])
+                ) / d
             if clocks:
                 r -= S[i, 7] - S[j, 7]
             cost += 0.5 * w_rate[m] * r * r
@@ -104,7 +108,11 @@ def assemble(S, place, rates_used, clocks, links, ranges, w_range, rates, w_rate
             a, b, c = S[i, V] - S[j, V], S[i, V + 1] - S[j, V + 1], S[i, V + 2] - S[j, V + 2]
             along = u[0] * a + u[1] * b + u[2] * c
             r2 = rates[m] - along
-            q[0], q[1], q[2] = (a - along * u[0]) * inverse, (b - along * u[1]) * inverse, (c - along * u[2]) * inverse
+            q[0], q[1], q[2] = (
+                (a - along * u[0]) * inverse,
+                (b - along * u[1]) * inverse,
+                (c - along * u[2]) * inverse,
+            )
             q[V], q[V + 1], q[V + 2] = u[0], u[1], u[2]
             if clocks:
                 r2 -= S[i, 7] - S[j, 7]
@@ -176,7 +184,9 @@ def factorize(A):
         for i in range(end, n):
             f0, f1, f2, f3 = A[first, i], A[first + 1, i], A[first + 2, i], A[first + 3, i]
             for j in range(i, n):
-                A[i, j] -= f0 * A[first, j] + f1 * A[first + 1, j] + f2 * A[first + 2, j] + f3 * A[first + 3, j]
+                A[i, j] -= (
+                    f0 * A[first, j] + f1 * A[first + 1, j] + f2 * A[first + 2, j] + f3 * A[first + 3, j]
+                )
     return True
 
 

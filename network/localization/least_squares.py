@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from ...sins.settings import Settings
-from pydantic import Field
 from . import _dense
 from .problem import Array, Booleans, RangeProblem
 
