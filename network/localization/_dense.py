@@ -1,27 +1,63 @@
 """Compiled damped Gauss-Newton for a fleet: all nodes at once, normal equations kept dense.
 
-State ``S``, shape (n, B), one row a node: position in m (north, east, down), clock offset in m if clocks are unknown,
-and, where range-rates are used too, velocity in m/s and clock drift in m/s. B is 3, 4, 6 or 8.
+State ``S``, shape (n, B), one row a node: position in m (north, east, down), clock offset in m if clocks
+are unknown, and, where range-rates are used too, velocity in m/s and clock drift in m/s. B is 3, 4, 6 or 8.
 
 A link (i, j) has the residuals ``range - (|x_i - x_j| + b_i - b_j)`` and
-``rate - (e (v_i - v_j) + d_i - d_j)`` with the unit vector e from j to i. Both are odd in the two nodes: the derivatives
-by node j's state are those by node i's with the other sign, so a link adds one block to two places of the diagonal
-and takes it from one beside it. The readable twin of `assemble` is in the tests.
+``rate - (e (v_i - v_j) + d_i - d_j)``, with the unit vector e from j to i. Both are odd in the two nodes:
+the derivatives by the state of j are those by the state of i with the other sign. So a link adds one
+block to two places of the diagonal, and takes it from one beside it.
+
+The oracle of the derivatives in `evaluate` is its own cost, that of `minimize` is
+`scipy.optimize.least_squares`.
 """
 
 # Types of compiled functions are those of their docstrings; numba infers them.
 # pyright: reportMissingParameterType=false, reportUnknownParameterType=false
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from ...sins._kernels import COMPILED
+from .problem import Array, Integers
 
 SQUARED, HUBER, ONE_SIDED = 0, 1, 2
-_PANEL = 4
-MOST_DAMPING = 1e12
+_PIVOTS = 4
+_MOST_DAMPING = 1e12
+
+
+class Terms(NamedTuple):
+    """The terms of the sum of squares; a weight is an inverse variance, and zero leaves its term out."""
+
+    links: Integers
+    """(m, 2)."""
+    ranges: Array
+    """(m,) m."""
+    w_range: Array
+    """(m,)."""
+    rates: Array
+    """(m,) m/s; (0,) where there are none."""
+    w_rate: Array
+    """(m,)."""
+    loss: int
+    """Of ranges: `SQUARED`, `HUBER` or `ONE_SIDED`."""
+    threshold: float
+    """Standard deviations beyond which a residual counts less than its square."""
+    clocks: bool
+    """Whether clocks are unknown."""
+    prior: Array
+    """(n, B) what is known of the state before."""
+    w_prior: Array
+    """(n, B)."""
+    height: Array
+    """(n,) m."""
+    w_height: Array
+    """(n,)."""
+    curvature: float
+    """1/m, see `problem.RangeProblem`."""
 
 
 @njit(inline="always", **COMPILED)
@@ -33,123 +69,92 @@ def robust(t, loss, threshold):
     return threshold * (size - 0.5 * threshold), threshold / size
 
 
-@njit(**COMPILED)
-def cost_of(S, rates_used, clocks, links, ranges, w_range, rates, w_rate, loss, prior, w_prior, height, w_height,
-            curvature):  # fmt: skip
-    """Half the sum of squared residuals in standard deviations, robust for ranges."""
-    kind, threshold = int(loss[0]), loss[1]
-    V = 4 if clocks else 3
-    cost = 0.0
-    for m in range(len(links)):
-        if w_range[m] == 0:
-            continue
-        i, j = links[m, 0], links[m, 1]
-        x, y, z = S[i, 0] - S[j, 0], S[i, 1] - S[j, 1], S[i, 2] - S[j, 2]
-        d = math.sqrt(x * x + y * y + z * z)
-        r = ranges[m] - d
-        if clocks:
-            r -= S[i, 3] - S[j, 3]
-        cost += robust(r * math.sqrt(w_range[m]), kind, threshold)[0]
-        if rates_used:
-            r = rates[m]
-            if d > 0:
-                r -= (
-                    x * (S[i, V] - S[j, V])
-                    + y * (S[i, V + 1] - S[j, V + 1])
-                    + z * (S[i, V + 2] - S[j, V + 2])
-                ) / d
-            if clocks:
-                r -= S[i, 7] - S[j, 7]
-            cost += 0.5 * w_rate[m] * r * r
-    for i in range(len(S)):
-        for a in range(S.shape[1]):
-            r = prior[i, a] - S[i, a]
-            cost += 0.5 * w_prior[i, a] * r * r
-        if w_height[i] > 0:
-            r = height[i] + S[i, 2] - 0.5 * curvature * (S[i, 0] ** 2 + S[i, 1] ** 2)
-            cost += 0.5 * w_height[i] * r * r
-    return cost
+@njit(inline="always", **COMPILED)
+def _link(S, terms, m, u, q):
+    """Residuals of link m with their weights and costs; their derivatives by the state of its first node
+    are ``u`` (range) and ``q`` (rate), shape (B,)."""
+    i, j = terms.links[m, 0], terms.links[m, 1]
+    x, y, z = S[i, 0] - S[j, 0], S[i, 1] - S[j, 1], S[i, 2] - S[j, 2]
+    d = math.sqrt(x * x + y * y + z * z)
+    # Nodes at one place have no direction to each other: to first order their range tells nothing.
+    inverse = 1 / d if d > 0 else 0.0
+    x, y, z = x * inverse, y * inverse, z * inverse
+    u[0], u[1], u[2] = x, y, z
+    r1 = terms.ranges[m] - d
+    if terms.clocks:
+        r1 -= S[i, 3] - S[j, 3]
+        u[3] = 1.0
+    cost, weight = robust(r1 * math.sqrt(terms.w_range[m]), terms.loss, terms.threshold)
+    r2, w2 = 0.0, 0.0
+    if len(terms.rates) > 0:
+        V = 4 if terms.clocks else 3
+        vx, vy, vz = S[i, V] - S[j, V], S[i, V + 1] - S[j, V + 1], S[i, V + 2] - S[j, V + 2]
+        along = x * vx + y * vy + z * vz
+        r2, w2 = terms.rates[m] - along, terms.w_rate[m]
+        q[0], q[1], q[2] = (vx - along * x) * inverse, (vy - along * y) * inverse, (vz - along * z) * inverse
+        q[V], q[V + 1], q[V + 2] = x, y, z
+        if terms.clocks:
+            r2 -= S[i, 7] - S[j, 7]
+            q[7] = 1.0
+        cost += 0.5 * w2 * r2 * r2
+    return cost, terms.w_range[m] * weight, r1, w2, r2
 
 
 @njit(**COMPILED)
-def assemble(S, place, rates_used, clocks, links, ranges, w_range, rates, w_rate, loss, prior, w_prior, height,
-             w_height, curvature, A, g):  # fmt: skip
-    """Write the upper triangle of the normal equations ``A`` and their right-hand side ``g``; return the cost.
+def evaluate(S, place, terms, A, g):
+    """Half the sum of squares, robust for ranges; its negative gradient ``g`` (N,) and, unless ``A`` is
+    empty, the upper triangle of the normal equations.
 
-    ``place`` (n,) is the block of each node in ``A``, -1 for a node that stays where it is. Weights of zero leave out
-    a link, a prior or a height.
+    ``place`` (n,) is the block of each node in ``A``, -1 for a node that stays where it is.
     """
-    kind, threshold = int(loss[0]), loss[1]
     n, B = S.shape
-    V = 4 if clocks else 3
+    with_matrix = len(A) > 0
     A[:] = 0.0
     g[:] = 0.0
     cost = 0.0
     u, q, block = np.zeros(B), np.zeros(B), np.zeros((B, B))
-    for m in range(len(links)):
-        if w_range[m] == 0:
+    for m in range(len(terms.links)):
+        if terms.w_range[m] == 0:
             continue
-        i, j = links[m, 0], links[m, 1]
-        x, y, z = S[i, 0] - S[j, 0], S[i, 1] - S[j, 1], S[i, 2] - S[j, 2]
-        d = math.sqrt(x * x + y * y + z * z)
-        # Nodes at one place have no direction to each other: their range tells nothing to first order.
-        inverse = 1 / d if d > 0 else 0.0
-        u[0], u[1], u[2] = x * inverse, y * inverse, z * inverse
-        r = ranges[m] - d
-        if clocks:
-            r -= S[i, 3] - S[j, 3]
-            u[3] = 1.0
-        c, weight = robust(r * math.sqrt(w_range[m]), kind, threshold)
-        cost += c
-        w1 = w_range[m] * weight
-        w2, r2 = 0.0, 0.0
-        if rates_used:
-            w2 = w_rate[m]
-            a, b, c = S[i, V] - S[j, V], S[i, V + 1] - S[j, V + 1], S[i, V + 2] - S[j, V + 2]
-            along = u[0] * a + u[1] * b + u[2] * c
-            r2 = rates[m] - along
-            q[0], q[1], q[2] = (
-                (a - along * u[0]) * inverse,
-                (b - along * u[1]) * inverse,
-                (c - along * u[2]) * inverse,
-            )
-            q[V], q[V + 1], q[V + 2] = u[0], u[1], u[2]
-            if clocks:
-                r2 -= S[i, 7] - S[j, 7]
-                q[7] = 1.0
-            cost += 0.5 * w2 * r2 * r2
-        pi, pj = place[i] * B, place[j] * B
+        share, w1, r1, w2, r2 = _link(S, terms, m, u, q)
+        cost += share
+        i, j = place[terms.links[m, 0]] * B, place[terms.links[m, 1]] * B
         for a in range(B):
-            pull = w1 * r * u[a] + w2 * r2 * q[a]
-            if pi >= 0:
-                g[pi + a] += pull
-            if pj >= 0:
-                g[pj + a] -= pull
-            for b in range(B):
-                block[a, b] = w1 * u[a] * u[b] + w2 * q[a] * q[b]
-        if pi >= 0:
-            _add(A, pi, pi, block, 1.0)
-        if pj >= 0:
-            _add(A, pj, pj, block, 1.0)
-        if pi >= 0 and pj >= 0:
-            _add(A, min(pi, pj), max(pi, pj), block, -1.0)
-    for i in range(n):
-        p = place[i] * B
+            pull = w1 * r1 * u[a] + w2 * r2 * q[a]
+            if i >= 0:
+                g[i + a] += pull
+            if j >= 0:
+                g[j + a] -= pull
+        if with_matrix:
+            for a in range(B):
+                for b in range(B):
+                    block[a, b] = w1 * u[a] * u[b] + w2 * q[a] * q[b]
+            if i >= 0:
+                _add(A, i, i, block, 1.0)
+            if j >= 0:
+                _add(A, j, j, block, 1.0)
+            if i >= 0 and j >= 0:
+                _add(A, min(i, j), max(i, j), block, -1.0)
+    for k in range(n):
+        i = place[k] * B
         for a in range(B):
-            r = prior[i, a] - S[i, a]
-            cost += 0.5 * w_prior[i, a] * r * r
-            if p >= 0:
-                g[p + a] += w_prior[i, a] * r
-                A[p + a, p + a] += w_prior[i, a]
-        if w_height[i] > 0:
-            r = height[i] + S[i, 2] - 0.5 * curvature * (S[i, 0] ** 2 + S[i, 1] ** 2)
-            cost += 0.5 * w_height[i] * r * r
-            if p >= 0:
-                u[0], u[1], u[2] = curvature * S[i, 0], curvature * S[i, 1], -1.0
+            r = terms.prior[k, a] - S[k, a]
+            cost += 0.5 * terms.w_prior[k, a] * r * r
+            if i >= 0:
+                g[i + a] += terms.w_prior[k, a] * r
+                if with_matrix:
+                    A[i + a, i + a] += terms.w_prior[k, a]
+        w = terms.w_height[k]
+        if w > 0:
+            r = terms.height[k] + S[k, 2] - 0.5 * terms.curvature * (S[k, 0] ** 2 + S[k, 1] ** 2)
+            cost += 0.5 * w * r * r
+            if i >= 0:
+                u[0], u[1], u[2] = terms.curvature * S[k, 0], terms.curvature * S[k, 1], -1.0
                 for a in range(3):
-                    g[p + a] += w_height[i] * r * u[a]
-                    for b in range(3):
-                        A[p + a, p + b] += w_height[i] * u[a] * u[b]
+                    g[i + a] += w * r * u[a]
+                    if with_matrix:
+                        for b in range(3):
+                            A[i + a, i + b] += w * u[a] * u[b]
     return cost
 
 
@@ -162,13 +167,13 @@ def _add(A, row, column, block, sign):
 
 @njit(**COMPILED)
 def factorize(A):
-    """Cholesky factor U, ``A = U' U``, in place of the upper triangle; False if ``A`` is not positive definite.
+    """Cholesky factor U, ``A = U' U``, in place of the upper triangle; False if there is none.
 
     Four pivot rows at a time, so that a row of what remains is read and written once for four of them.
     """
     n = len(A)
-    for first in range(0, n, _PANEL):
-        end = min(first + _PANEL, n)
+    for first in range(0, n, _PIVOTS):
+        end = min(first + _PIVOTS, n)
         for k in range(first, end):
             if not A[k, k] > 0:
                 return False
@@ -179,7 +184,7 @@ def factorize(A):
                 f = A[k, i]
                 for j in range(i, n):
                     A[i, j] -= f * A[k, j]
-        if end - first < _PANEL:
+        if end - first < _PIVOTS:
             continue
         for i in range(end, n):
             f0, f1, f2, f3 = A[first, i], A[first + 1, i], A[first + 2, i], A[first + 3, i]
@@ -243,66 +248,50 @@ def moved(S, place, step):
 
 
 @njit(**COMPILED)
-def minimize(S, place, rates_used, clocks, links, ranges, w_range, rates, w_rate, loss, prior, w_prior, height,
-             w_height, curvature, floor, damping, max_iterations, tolerance, A, g):  # fmt: skip
-    """Levenberg-Marquardt on ``S`` in place; ``floor`` (B,) is added to the diagonal of unknowns without a prior.
+def support(A, floor):
+    """Add ``floor`` (B,), the least information on each component of a state, to the diagonal of ``A``."""
+    for k in range(len(A)):
+        A[k, k] += floor[k % len(floor)]
 
-    Ends when a step, in standard deviations over all unknowns, is below ``tolerance``; a first ``damping`` of zero
-    makes it Gauss-Newton while that succeeds. Returns the cost, the number of iterations and whether it
-    converged; ``A`` then holds the factor of the undamped normal equations at the last point but one, which is the
-    solution to within the tolerance.
+
+@njit(**COMPILED)
+def minimize(S, place, terms, floor, damping, max_iterations, tolerance, A, g):
+    """Levenberg-Marquardt on ``S`` in place, as `evaluate` and `support` have the normal equations.
+
+    It ends when a step, in standard deviations over all unknowns, is below ``tolerance``. A first ``damping``
+    of zero makes it Gauss-Newton for as long as that lowers the cost. Returns the cost, the number of
+    iterations, and whether it converged; ``A`` then holds the factor of the normal equations one
+    step before the end.
     """
-    N, B = len(g), S.shape[1]
-    cost = assemble(S, place, rates_used, clocks, links, ranges, w_range, rates, w_rate, loss, prior, w_prior, height,
-                    w_height, curvature, A, g)  # fmt: skip
-    _support(A, floor, B)
-    step = np.empty(N)
-    kept = A.copy() if damping > 0 else A
+    new_cost = np.inf
+    no_matrix, step, new_g = np.empty((0, 0)), np.empty_like(g), np.empty_like(g)
     for iteration in range(1, max_iterations + 1):
-        done = False
-        while not done:
-            if damping > 0:
-                A[:] = kept
-                for k in range(N):
-                    A[k, k] *= 1 + damping
+        cost = evaluate(S, place, terms, A, g)
+        support(A, floor)
+        undamped = A.copy()
+        while True:
+            for k in range(len(g)):
+                A[k, k] *= 1 + damping
             step[:] = g
-            solved = factorize(A)
-            if solved:
+            if factorize(A):
                 substitute(A, step)
                 after = moved(S, place, step)
-                new_cost = cost_of(after, rates_used, clocks, links, ranges, w_range, rates, w_rate, loss, prior,
-                                   w_prior, height, w_height, curvature)  # fmt: skip
+                new_cost = evaluate(after, place, terms, no_matrix, new_g)
                 decrement = 0.0
-                for k in range(N):
+                for k in range(len(g)):
                     decrement += g[k] * step[k]
-                # Close to the end, rounding alone may raise the cost.
-                if decrement <= tolerance**2 or new_cost <= cost:
-                    done = True
-            if not done:
-                if damping == 0:
-                    assemble(S, place, rates_used, clocks, links, ranges, w_range, rates, w_rate, loss, prior, w_prior,
-                             height, w_height, curvature, A, g)  # fmt: skip
-                    _support(A, floor, B)
-                    kept = A.copy()
-                damping = max(10 * damping, 1e-4)
-                if damping > MOST_DAMPING:
-                    return cost, iteration, False
+                # So close to the end rounding alone may raise the cost.
+                if new_cost <= cost or decrement <= tolerance**2:
+                    break
+            damping = max(10 * damping, 1e-4)
+            if damping > _MOST_DAMPING:
+                return cost, iteration, False
+            A[:] = undamped
         S[:] = after
         if decrement <= tolerance**2 and damping < 1e-2:
             if damping > 0:
-                A[:] = kept
+                A[:] = undamped
                 factorize(A)
             return new_cost, iteration, True
         damping = 0.1 * damping if damping > 1e-9 else 0.0
-        cost = assemble(S, place, rates_used, clocks, links, ranges, w_range, rates, w_rate, loss, prior, w_prior,
-                        height, w_height, curvature, A, g)  # fmt: skip
-        _support(A, floor, B)
-        kept = A.copy() if damping > 0 else A
-    factorize(A)
-    return cost, max_iterations, False
-
-
-@njit(inline="always", **COMPILED)
-def _support(A, floor, B):
-    for k in range(len(A)):
-        A[k, k] += floor[k % B]
+    return new_cost, max_iterations, False

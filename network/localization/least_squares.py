@@ -10,8 +10,10 @@ from ...sins.settings import Settings
 from . import _dense
 from .problem import Array, Booleans, RangeProblem
 
-_FLOOR = np.array([1e-5, 1e-5, 1e-5, 1e-7]) ** 2
-"""Information on position and clock that keeps unknown directions finite: 100 km, and 10,000 km of clock offset."""
+LOSSES = {"squared": _dense.SQUARED, "huber": _dense.HUBER, "one_sided": _dense.ONE_SIDED}
+"""What the compiled loops call the losses."""
+FLOOR = np.array([1e-5, 1e-5, 1e-5, 1e-7]) ** 2
+"""Information that keeps unknown directions finite: 100 km of position, 10,000 km of clock offset."""
 
 
 class Loss(Settings):
@@ -21,12 +23,6 @@ class Loss(Settings):
     """`one_sided` doubts long ranges alone: what is not in line of sight can only be too long."""
     threshold: float = Field(default=2.5, gt=0, le=100)
     """Standard deviations up to which a residual counts by its square."""
-
-    @property
-    def as_array(self) -> Array:
-        """What the compiled loops take."""
-        kinds = {"squared": _dense.SQUARED, "huber": _dense.HUBER, "one_sided": _dense.ONE_SIDED}
-        return np.array([kinds[self.kind], self.threshold])
 
 
 @dataclass(frozen=True)
@@ -38,7 +34,7 @@ class Refined:
     clock: Array | None
     """(n,) m, where clocks were unknown."""
     cov: Array
-    """(n, 3, 3) m^2, each node's own; zero for anchors that stay where they are, NaN for nodes that took no part."""
+    """(n, 3, 3) m^2, each node's own; zero for anchors that stay where they are, NaN where ``x`` is."""
     cost: float
     """Half the sum of squared residuals in standard deviations, robust ones as their loss has them."""
     iterations: int
@@ -68,9 +64,9 @@ def refine(
     loss = loss or Loss(kind="squared")
     n, B = problem.nodes, 4 if problem.clocks else 3
     start = np.where(problem.anchor[:, None], problem.anchor_x, x0)
-    part = np.isfinite(start).all(axis=1) & (problem.anchor if usable is None else usable | problem.anchor)
-    if usable is None:
-        part = np.isfinite(start).all(axis=1)
+    part = np.isfinite(start.sum(axis=1))
+    if usable is not None:
+        part &= usable | problem.anchor
     S = np.zeros((n, B))
     S[:, :3] = np.where(part[:, None], start, 0.0)
     if clock0 is not None and problem.clocks:
@@ -89,30 +85,28 @@ def refine(
     height = np.full(n, np.nan) if problem.height is None else problem.height
     has_height = np.isfinite(height) & part
     A, g = np.empty((N, N)), np.empty(N)
-    nothing = np.zeros(0)
-    cost, iterations, converged = _dense.minimize(
-        S,
-        place,
-        False,
-        problem.clocks,
-        problem.links,
-        problem.ranges,
-        np.where(joined, problem.range_sd**-2, 0.0),
-        nothing,
-        nothing,
-        loss.as_array,
-        S.copy(),
-        w_prior,
-        np.where(has_height, height, 0.0),
-        np.where(has_height, problem.height_sd**-2.0, 0.0),
-        problem.curvature,
-        _FLOOR[:B],
-        1e-3,
-        max_iterations,
-        tolerance,
-        A,
-        g,
+    terms = _dense.Terms(
+        links=problem.links,
+        ranges=problem.ranges,
+        w_range=np.where(joined, problem.range_sd**-2, 0.0),
+        rates=np.empty(0),
+        w_rate=np.empty(0),
+        loss=LOSSES[loss.kind],
+        threshold=loss.threshold,
+        clocks=problem.clocks,
+        prior=S.copy(),
+        w_prior=w_prior,
+        height=np.where(has_height, height, 0.0),
+        w_height=np.where(has_height, problem.height_sd**-2.0, 0.0),
+        curvature=problem.curvature,
     )
+    cost, iterations, converged = _dense.minimize(
+        S, place, terms, FLOOR[:B], 1e-3, max_iterations, tolerance, A, g
+    )
+    if not converged:
+        _dense.evaluate(S, place, terms, A, g)
+        _dense.support(A, FLOOR[:B])
+        _dense.factorize(A)
     blocks = np.empty((N // B, B, B))
     _dense.covariance_blocks(A, blocks)
     cov = np.full((n, 3, 3), np.nan)

@@ -36,8 +36,8 @@ class NodeOutcome(IntEnum):
 class RangeProblem:
     """Ranges between nodes, positions of anchors, and heights, at one epoch.
 
-    Raises `LocalizationError` for wrong shapes, no anchors, links of a node to itself or to no node, ranges and
-    standard deviations that are not finite, standard deviations that are not positive.
+    Raises `LocalizationError` for wrong shapes, no anchors, links of a node to itself or to no node, and
+    ranges and standard deviations that are not finite or, these, not positive.
     """
 
     links: Integers
@@ -73,7 +73,7 @@ class RangeProblem:
             raise LocalizationError("no anchors: positions are known but for a rigid motion of them all")
         if not np.isfinite(self.anchor_x[self.anchor]).all():
             raise LocalizationError("positions of anchors must be finite")
-        if m and (self.links.min() < 0 or self.links.max() >= n):
+        if m and (np.min(self.links) < 0 or np.max(self.links) >= n):
             raise LocalizationError(f"links must join nodes 0 to {n - 1}")
         if (self.links[:, 0] == self.links[:, 1]).any():
             raise LocalizationError("a link must join two nodes")
