@@ -2,6 +2,7 @@
 
 from ..align.estimate import FixOutcome
 from ..align.filters import FILTERS
+from ..network.record import FixFate
 
 # Distinct for colour-blind readers (after Okabe and Ito), and visible on white and on black.
 _FILTER_COLORS = ("#D55E00", "#3D8FD1", "#009E73", "#CC79A7", "#B59A00", "#7F6BD6", "#8A5A3B")
@@ -23,6 +24,24 @@ OUTCOME_COLORS = {
     FixOutcome.NOT_FINITE: "#A00000",
     FixOutcome.FUTURE: "#7F6BD6",
     FixOutcome.INVALID: "#8A5A3B",
+}
+
+NODE = "#3D8FD1"
+ANCHOR = "#009E73"
+CLUSTER_HEAD = "#D55E00"
+LINK = "#8C8C8C"
+UNLOCATED = "#CC79A7"
+"""A node without an estimate."""
+FATE_COLORS = {
+    FixFate.DELIVERED: "#3D8FD1",
+    FixFate.TOO_FEW_NEIGHBOURS: "#CC79A7",
+    FixFate.UNLOCALIZABLE: "#7F6BD6",
+    FixFate.AMBIGUOUS: "#B59A00",
+    FixFate.INCONSISTENT: "#8A5A3B",
+    FixFate.NOT_CONVERGED: "#BBBBBB",
+    FixFate.NO_ROUTE: "#009E73",
+    FixFate.LOST: "#D55E00",
+    FixFate.STILL_QUEUED: "#FFD24A",
 }
 
 

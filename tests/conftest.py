@@ -6,6 +6,7 @@ import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 # Compiled loops are kept on disk by the time stamp of their own module alone. A change in a function that
@@ -22,6 +23,9 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir(), f"fleet
 from fleetalign.aircraft.cache import cached_flight
 from fleetalign.cosim.run import alignment_window
 from fleetalign.cosim.scenario import load_scenario
+from fleetalign.network.localization.problem import NodeOutcome
+from fleetalign.network.record import FixFate, NetworkRecord
+from fleetalign.sins import earth
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -53,3 +57,55 @@ def flight(flight_cache, gao2009):
 def window(flight, gao2009):
     """The part of it in which alignment takes place."""
     return alignment_window(gao2009, flight)
+
+
+@pytest.fixture(scope="session")
+def a_network_record():
+    """Makes records of a network whose estimator is consistent: nodes fly with the own ship.
+
+    A fifth of the nodes are anchors, node 1 among them; node 2 is never located, the own ship has no fix at
+    epochs 0 and 1 and loses that of epoch 2; the others come 5 to 60 ms late.
+    """
+
+    def make(time, own_lla, nodes=10, seed=1):
+        rng = np.random.default_rng(seed)
+        k, n = len(time), nodes
+        spot = rng.uniform([-15e3, -15e3, -2e3], [15e3, 15e3, 500.0], (n, 3))
+        spot[0] = 0.0
+        anchor = np.arange(n) % 5 == 1
+        outcome = np.where(anchor, NodeOutcome.ANCHOR, NodeOutcome.LOCATED) * np.ones((k, 1), np.int64)
+        outcome[:, 2] = NodeOutcome.SINGULAR
+        sd = np.array([10.0, 12.0, 40.0, 0.2, 0.2, 0.5])
+        error = sd * rng.standard_normal((k, n, 6))
+        error[:, 2] = np.nan
+        sd_n = np.where(np.isfinite(error[..., :3]), sd[:3], np.nan)
+        fate = np.full(k, FixFate.DELIVERED)
+        fate[:2], fate[2] = FixFate.TOO_FEW_NEIGHBOURS, FixFate.LOST
+        link_time = np.arange(time[0], time[-1] + 1e-6, 1.0)
+        linked = np.linalg.norm(spot[:, None] - spot, axis=2) < 12e3
+        np.fill_diagonal(linked, False)
+        head = np.zeros((len(link_time), n), bool)
+        head[:, 3] = True
+        return NetworkRecord(
+            time=time,
+            lla=earth.displaced(own_lla[:, None], np.tile(spot, (k, 1, 1))),
+            anchor=anchor,
+            error_n=error[..., :3],
+            sd_n=sd_n,
+            velocity_error_n=error[..., 3:],
+            outcome=outcome,
+            cov=np.tile(np.diag(sd**2), (k, 1, 1)),
+            fate=fate.astype(np.int64),
+            delay=np.where(fate == FixFate.DELIVERED, rng.uniform(0.005, 0.06, k), np.nan),
+            fleet_delay=rng.gamma(4.0, 0.006, 20 * k),
+            link_time=link_time,
+            linked=np.tile(linked, (len(link_time), 1, 1)),
+            head=head,
+            maker=0,
+            sent=22 * k,
+            delivered=20 * k,
+            transmissions=33 * k,
+            slots=200 * k,
+        )
+
+    return make
