@@ -57,7 +57,7 @@ class Queues(NamedTuple):
     fresh: NDArray[np.int64]
     """Packets at the end of the queue that have not seen a slot of their holder's."""
     told: NDArray[np.int64]
-    """Lengths that the nodes last told the others."""
+    """Lengths that the nodes last told, and the packets that others have been heard to send them since."""
 
 
 @njit(**COMPILED)
@@ -103,6 +103,7 @@ def receive(packets, queues, packet, node, sent, arrival, totals):
         packets.arrival[packet] = arrival
     else:
         enter(packets, queues, packet, node, arrival, totals)
+        queues.told[node] += 1
 
 
 @njit(**COMPILED)

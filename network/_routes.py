@@ -97,7 +97,7 @@ def _geographic_hop(links, table, holder, target, told, void, packet):
 def next_hop(links, table, holder, target, told, void, packet):
     """Node that ``holder`` sends ``packet`` to on its way to ``target``; -1 for no way.
 
-    ``told`` (n,) packets that each node last said were in its queue.
+    ``told`` (n,) packets that are taken to be in each node's queue.
     """
     if not links.clustered:
         return _geographic_hop(links, table, holder, target, told, void, packet)

@@ -13,7 +13,8 @@ with a back-off that doubles. The choices here:
   There is no capture of the stronger signal, and no request to send.
 - The sender learns at the end of the packet, at no cost, whether it was received. It is retried like one
   lost.
-- A node tells the length of its queue with each packet; all others hear it.
+- A node tells the length of its queue with each packet; all others hear it, and hear as well which relay a
+  packet goes to.
 - One generator is drawn from, in the order of events: back-offs, and whether a packet is lost at its end.
 """
 

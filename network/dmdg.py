@@ -5,7 +5,7 @@ choices here:
 
 - A holder sends a packet to its destination if it has a link to it.
 - If not, to that neighbour, of those that are nearer to the destination than itself, which has the least
-  distance to it plus a weight times the packets that the neighbour last told were in its queue.
+  distance to it plus a weight times the packets that are taken to be in the neighbour's queue.
 - Where no neighbour is nearer (a void), on a path of fewest hops, and so on from node to node until the
   packet is nearer to the destination than the void was: going back to greedy steps at once would go round
   in circles.

@@ -69,7 +69,7 @@ class ProtocolSettings(Settings):
     """CSMA: mini-slots of back-off, at most, before a first transmission; twice as many for each retry."""
     window_max: int = Field(default=1024, ge=1, le=65_536)
 
-    load_weight_m: float = Field(default=500.0, ge=0, le=1e6)
+    load_weight_m: float = Field(default=3000.0, ge=0, le=1e6)
     """DMDG: how much farther from the destination a relay may be for one packet less in its queue."""
 
     heads: int = Field(default=10, ge=1, le=1_000_000)

@@ -13,8 +13,8 @@ defines them is not at hand. The choices here:
 - A node sends the first packet in its queue. It learns at once, and at no cost, whether it was received,
   and sends it again in its next slot if not, up to a number of retries. A packet that arrives at a relay
   can be sent on in the next slot.
-- A node tells how long its queue is, after what it sends, in each of its slots; all others hear it, at no
-  cost.
+- A node tells how long its queue is, after what it sends, in each of its slots. All others hear it, and hear
+  as well which relay a packet goes to, which makes that relay's queue one longer.
 - Whether what is sent in a slot is lost is drawn for each slot, used or not, from a generator for each
   node.
 """
