@@ -5,14 +5,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
-from markupsafe import Markup
 
 from ..aircraft.flight import Flight
 from ..align.estimate import Array, FixOutcome
+from ..network.record import NetworkRecord
 from .figures import draw_all
-from .files import whole_file
+from .network_figures import draw_network
+from .network_report import level, network_tables, variant_rows
+from .network_score import NetworkScore
+from .pages import number, write_page
 from .palette import filter_color
 from .scenario import Scenario
 from .scenery import told
@@ -20,7 +22,6 @@ from .score import COLUMNS, LEAST_RUNS, FilterScore
 
 _DIGITS = dict(zip(COLUMNS, (1, 1, 2, 3, 3), strict=True))
 _HEADINGS = ("Roll, arcsec", "Pitch, arcsec", "Heading, arcmin", "v east, m/s", "v north, m/s")
-_MISSING = "\N{EN DASH}"
 
 
 def write_report(
@@ -32,6 +33,7 @@ def write_report(
     bound: Array,
     summary: dict[str, Any],
     manifest: dict[str, Any],
+    network: tuple[NetworkRecord, NetworkScore] | None = None,
 ) -> None:
     """Write the report, whole or not at all.
 
@@ -40,21 +42,18 @@ def write_report(
     flight : the whole of it. window : the part in which the runs aligned.
     bound : (m, 5), as `score.standard_deviations` gives it.
     summary, manifest : content of `summary.json` and of `manifest.json`.
+    network : record of one run and score of all, where the fixes came from a network.
 
     Raises OSError.
     """
-    path = Path(path)
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).with_name("templates")),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    environment.filters["number"] = _number
     replayed = scenario.fixes.kind == "replay"
     figures = draw_all(flight, window, scores, bound, scenario.fixes.delay_mean_s, with_bands=not replayed)
-    html = environment.get_template("report.html.j2").render(
+    if network is not None:
+        figures |= draw_network(*network)
+    write_page(
+        path,
+        "report.html.j2",
+        figures,
         scenario=scenario,
         summary=summary,
         manifest=manifest,
@@ -65,19 +64,12 @@ def write_report(
         rows=[_row(name, row, summary["bound"]["stamped"]) for name, row in summary["filters"].items()],
         comparison=_comparison(summary),
         outcomes=_outcomes(scores),
+        network=network_tables(summary["network"]) if network is not None else None,
+        variants=variant_rows(summary),
         failures={name: score.failures for name, score in scores.items() if score.failures},
-        figures={name: Markup(svg) for name, svg in figures.items()},
         duration_s=float(window.time[-1] - window.time[0]),
         scenario_text=to_toml(scenario.model_dump(mode="json")),
     )
-    with whole_file(path) as partial:
-        partial.write_text(html, "utf-8")
-
-
-def level(row: Mapping[str, float | None]) -> float:
-    """RMS of roll and pitch error, arcsec; NaN if there is none."""
-    both = [row["roll_arcsec"], row["pitch_arcsec"]]
-    return float(np.sqrt(np.mean(np.square([np.nan if x is None else x for x in both]))))
 
 
 def _headline(summary: dict[str, Any], window: Flight) -> str:
@@ -104,7 +96,7 @@ def _headline(summary: dict[str, Any], window: Flight) -> str:
     ]
     headings = [row["heading_arcmin"] for row in rows.values()]
     span = " to ".join(dict.fromkeys(f"{h:.2f}" for h in (min(headings), max(headings))))
-    heading_floor = _number(floor["heading_arcmin"], 2)
+    heading_floor = number(floor["heading_arcmin"], 2)
     failed = sum(row["failed_runs"] for row in summary["filters"].values())
     return (
         f"{start}: {'; '.join(told_rows)}. Heading {span} arcmin, bound {heading_floor}."
@@ -171,11 +163,6 @@ def _outcomes(scores: Mapping[str, FilterScore]) -> dict[str, Any]:
 
 def _ratio(value: float | None, reference: float | None) -> float | None:
     return None if value is None or not reference else value / reference
-
-
-def _number(value: float | None, digits: int) -> str:
-    """A number with its digits, a dash where there is none."""
-    return _MISSING if value is None or not np.isfinite(value) else f"{value:.{digits}f}"
 
 
 def to_toml(content: Mapping[str, Any]) -> str:
