@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ..sins.settings import Settings
+from ._geometry import distances_and_rates
 from ._held import Held
 from .clock import SPEED_OF_LIGHT, Clocks, ClockSettings
 from .observations import Observations, node_pairs
@@ -158,6 +159,14 @@ class Radio:
         self._range_bias: Array = link_bias + bias[self.pairs[:, 0]] + bias[self.pairs[:, 1]]
         self._detours = Held(settings.nlos_coherence_s, self._draw_detours)
 
+    def linked(self, distance: Array) -> Booleans:
+        """Which pairs hear each other at distances (..., n, n), m; nobody is linked to itself."""
+        n = distance.shape[-1]
+        shadowing = np.zeros((n, n))
+        i, j = self.pairs.T
+        shadowing[i, j] = shadowing[j, i] = self._shadowing
+        return (self.settings.link_margin_db(distance, shadowing) >= 0) & ~np.eye(n, dtype=bool)
+
     def observe(self, t: Array, x: Array, v: Array, height: Array) -> Observations:
         """What is measured at epochs ``t`` (k,), s, of nodes at ``x`` (k, n, 3), m, moving at ``v``, m/s.
 
@@ -165,7 +174,7 @@ class Radio:
         ascending order, each once, in chunks of any length k > 0: the draws carry on from chunk to chunk.
         """
         settings, k = self.settings, len(t)
-        distance, rates = _distance_and_rate(x, v)
+        distance, rates = distances_and_rates(np.ascontiguousarray(x), np.ascontiguousarray(v))
         margin = settings.link_margin_db(distance, self._shadowing)
         linked = margin >= 0
         heard = linked & (self._of_pairs("loss", _UNIFORM, k) >= settings.loss_probability)
@@ -223,30 +232,9 @@ class Radio:
         """An effect's next ``rows`` draws of all pairs, (rows, m)."""
         drawn = np.empty((rows, len(self.pairs)))
         for i, rng in enumerate(self._rngs[effect]):
-            drawn[:, _columns(i)] = draw(rng, (rows, i))
+            drawn[:, i * (i - 1) // 2 : i * (i + 1) // 2] = draw(rng, (rows, i))
         return drawn
 
     def _of_nodes(self, effect: str, draw: _Draw, rows: int) -> Array:
         """An effect's next ``rows`` draws of all nodes, (rows, n)."""
         return np.stack([draw(rng, (rows,)) for rng in self._rngs[effect]], axis=-1)
-
-
-def _columns(i: int) -> slice:
-    """Where the pairs (i, j), j < i, stand among all pairs."""
-    return slice(i * (i - 1) // 2, i * (i + 1) // 2)
-
-
-def _distance_and_rate(x: Array, v: Array) -> tuple[Array, Array]:
-    """Distances (k, m) and their rates; the rate of nodes at one place is taken for zero."""
-    k, n, _ = x.shape
-    square = np.zeros((k, n * (n - 1) // 2))
-    product = np.zeros_like(square)
-    # Axis by axis, node by node, in pieces that stay in the cache.
-    axes = [(np.ascontiguousarray(x[..., a]), np.ascontiguousarray(v[..., a])) for a in range(3)]
-    for i in range(1, n):
-        for x_a, v_a in axes:
-            d = x_a[:, i, None] - x_a[:, :i]
-            square[:, _columns(i)] += d * d
-            product[:, _columns(i)] += d * (v_a[:, i, None] - v_a[:, :i])
-    distance = np.sqrt(square)
-    return distance, np.divide(product, distance, out=np.zeros_like(product), where=distance > 0)

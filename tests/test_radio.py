@@ -4,6 +4,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from fleetalign.network._geometry import distances_and_rates
 from fleetalign.network.clock import SPEED_OF_LIGHT, Clocks, ClockSettings
 from fleetalign.network.fleet import FleetSettings, draw_formation
 from fleetalign.network.observations import node_pairs
@@ -258,6 +259,15 @@ def test_range_rates_are_the_rates_of_the_ranges():
     assert np.abs(seen.range_rates - projected).max() < 1e-3
     assert_spread(observe().range_rates - projected, 0.03)
     assert observe().range_rate_sd == 0.03
+
+
+def test_compiled_geometry_is_numpys():
+    distances, rates = distances_and_rates(X, np.ascontiguousarray(V))
+    np.testing.assert_allclose(distances, DISTANCE, rtol=1e-14)
+    d, w = X[:, FIRST] - X[:, SECOND], V[:, FIRST] - V[:, SECOND]
+    np.testing.assert_allclose(rates, np.sum(d * w, axis=-1) / DISTANCE, rtol=1e-12, atol=1e-10)
+    same = np.ones((1, 2, 3))
+    assert [a.item() for a in distances_and_rates(same, same)] == [0, 0]
 
 
 def test_nodes_at_one_place_have_a_stated_result():
