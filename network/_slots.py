@@ -71,6 +71,7 @@ def carry_tdma(
         queues.fresh[node] = 0
 
         packet, to = head_of_queue(packets, queues, links, table, node)
+        received = False
         if packet >= 0:
             totals[SLOTS_USED] += 1
             if packets.tries[packet] == 0:
@@ -78,15 +79,17 @@ def carry_tdma(
                 packets.parts[packet, QUEUE_WAIT] += time - packets.turn[packet]
             packets.tries[packet] += 1
             packets.sent[packet] += 1
-            if not lost[slot // frame_slots - first_frame, slot % frame_slots]:
+            received = not lost[slot // frame_slots - first_frame, slot % frame_slots]
+            if received:
                 leave(queues, node)
-                arrival = time + payload_s + links.distance[table, node, to] / speed
-                created = enter_created(packets, queues, created, arrival, totals)
-                receive(packets, queues, packet, to, time, arrival, totals)
             elif packets.tries[packet] > max_retries:
                 leave(queues, node)
                 packets.fate[packet] = RETRIES_EXHAUSTED
         queues.told[node] = queues.length[node]
+        if received:
+            arrival = time + payload_s + links.distance[table, node, to] / speed
+            created = enter_created(packets, queues, created, arrival, totals)
+            receive(packets, queues, packet, to, time, arrival, totals)
     return totals
 
 

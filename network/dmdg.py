@@ -47,7 +47,7 @@ def next_hop(
             return int(np.argmin(np.where(nearer, to_go + load_weight * load, np.inf))), np.inf
         void = float(to_go[holder])
     hops = shortest_path(linked.astype(float), unweighted=True, indices=target)
-    onward = linked[holder] & (hops == hops[holder] - 1)
+    onward = linked[holder] & np.isfinite(hops) & (hops == hops[holder] - 1)
     return (int(np.argmin(np.where(onward, to_go, np.inf))) if onward.any() else -1), void
 
 

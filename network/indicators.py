@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from .traffic import Deliveries
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 
 BASE_LINE_S = 0.05
@@ -89,11 +90,11 @@ def _percentile(values: Array, percent: float) -> float:
     return float(np.percentile(values, percent)) if len(values) else np.nan
 
 
-def _mean(values: NDArray[np.generic]) -> float:
-    return float(np.mean(values, dtype=np.float64)) if len(values) else np.nan
+def _mean(values: Array | Integers | Booleans) -> float:
+    return float(np.mean(values)) if len(values) else np.nan
 
 
-def _by_flow(delay: Array, flow: NDArray[np.int64]) -> tuple[float, Array, float]:
+def _by_flow(delay: Array, flow: Integers) -> tuple[float, Array, float]:
     """Standard deviation within flows, means of flows, lag-1 correlation; delay is NaN for lost packets."""
     order = np.argsort(flow, kind="stable")
     delay, flow = delay[order], flow[order]

@@ -91,5 +91,5 @@ def next_hop(
         return -1
     among_heads = linked & head & head[:, np.newaxis]
     hops = shortest_path(among_heads.astype(float), unweighted=True, indices=end)
-    onward = among_heads[holder] & (hops == hops[holder] - 1)
+    onward = among_heads[holder] & np.isfinite(hops) & (hops == hops[holder] - 1)
     return int(np.argmin(np.where(onward, distance[end], np.inf))) if onward.any() else -1
