@@ -183,8 +183,9 @@ class Fleet:
 
     The centre keeps the own ship's smoothed path at the own ship's home north and east; the own ship's home
     down is not used, as its height is the truth's. All other nodes stay inside the cylinder. The own ship
-    leaves its home by what the smoothing takes from its path (in a take-off run some hundred metres), and
-    the flat base is above the earth's curved surface by d^2 / 2 R, 31 m at 20 km from the centre.
+    leaves its home by what the smoothing takes from its path: in the flight of Gao et al. by 1.6 km in the
+    take-off run and 0.2 km in the S-manoeuvre, and may leave the cylinder with it. The flat base is above
+    the earth's curved surface by d^2 / 2 R, 31 m at 20 km from the centre.
     """
 
     def __init__(self, formation: Formation, path: CentrePath) -> None:

@@ -51,7 +51,7 @@ class RadioSettings(Settings):
     Gao et al. give a message radius r_c of 5 km, neighbours at up to 2 r_c, and 50 km for TTNT. Of 50 nodes
     in a cylinder of 20 km by 5 km one has 2.3, 9.4 and 49 others in reach at these. 5 km leaves four of five
     nodes without the four neighbours that a position takes, and every fleet in pieces; 10 km leaves one of
-    25 without; from 15 km on (30 nodes: from 20 km on) all have them.
+    25 without; from 15 km on (30 nodes: from 20 km on) all but one in 10,000 have them.
     """
 
     link_radius_m: float = Field(default=50_000.0, ge=1, le=1e7)

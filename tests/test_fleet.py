@@ -132,7 +132,8 @@ def test_the_centre_begins_at_rest_and_then_goes_at_the_own_ships_speed(path):
     v, _ = path_of_centre(path, np.array([0.5, 300.0]))
     # At most half a second's acceleration of a take-off run smoothed over 20 s.
     assert np.linalg.norm(v[0]) < 1.5
-    assert np.linalg.norm(v[1]) == pytest.approx(200, abs=0.1)
+    # A home 20 km north or south moves along meridians that are 0.2 % closer or wider.
+    assert np.linalg.norm(v[1]) == pytest.approx(200, abs=0.4)
 
 
 def test_the_centre_does_not_follow_the_manoeuvre(path):

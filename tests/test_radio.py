@@ -153,6 +153,14 @@ def test_shadowing_is_a_links_own_and_stays():
     np.testing.assert_array_equal(seen.linked, margin >= 0)
 
 
+def test_linked_pairs_are_those_that_are_observed():
+    radio = Radio(RadioSettings(link_radius_m=15_000, shadowing_sd_db=6.0), N, np.random.default_rng(1))
+    linked = radio.linked(np.linalg.norm(X[:, :, None] - X[:, None], axis=-1))
+    np.testing.assert_array_equal(linked[:, FIRST, SECOND], radio.observe(T, X, V, HEIGHT).linked)
+    np.testing.assert_array_equal(linked, linked.transpose(0, 2, 1))
+    assert not np.diagonal(linked, axis1=1, axis2=2).any()
+
+
 def test_packets_are_lost_by_the_stated_probability():
     seen = observe(loss_probability=0.1)
     assert seen.linked.all()
