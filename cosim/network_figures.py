@@ -9,12 +9,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from scipy.stats import norm
 
+from ..network.indicators import BASE_LINE_S
 from ..network.localization.problem import NodeOutcome
 from ..network.record import Array, Booleans, NetworkRecord
 from ..sins.units import MILLISECOND
 from .drawing import STYLE, WIDTH_IN, legend, panels, svg
 from .network_scenery import fleet_ned
-from .network_score import DELAY_LIMIT_S, NetworkScore
+from .network_score import NetworkScore
 from .palette import AIRCRAFT, ANCHOR, CLUSTER_HEAD, LINK, NODE, UNLOCATED
 
 _OWN, _FLEET = "#D55E00", "#3D8FD1"
@@ -90,7 +91,7 @@ def _nodes(ax: Axes, x: Array, y: Array, record: NetworkRecord, row: int, head: 
 def _delay(score: NetworkScore) -> Figure:
     """How delays are distributed, and how many exceed what."""
     figure, ((histogram, tail),) = panels(1, 2, 3.4)
-    limit_ms = DELAY_LIMIT_S / MILLISECOND
+    limit_ms = BASE_LINE_S / MILLISECOND
     sets = (
         ("all packets of the fleet", _FLEET, score.fleet_delay),
         ("the own ship's fixes", _OWN, score.own_delay),
