@@ -1,4 +1,7 @@
-"""Packets on their way and the queues that hold them, in compiled form."""
+"""Packets on their way and the queues that hold them, in compiled form.
+
+Inlined: a call that hands on this many arrays takes longer than what it does.
+"""
 
 # Types of compiled functions are those of their docstrings; numba infers them.
 # pyright: reportMissingParameterType=false, reportUnknownParameterType=false
@@ -60,7 +63,7 @@ class Queues(NamedTuple):
     """Lengths that the nodes last told, and the packets that others have been heard to send them since."""
 
 
-@njit(**COMPILED)
+@njit(inline="always", **COMPILED)
 def enter(packets, queues, packet, node, time, totals):
     """Put a packet at the end of a node's queue."""
     size = queues.ring.shape[1]
@@ -75,7 +78,7 @@ def enter(packets, queues, packet, node, time, totals):
     packets.tries[packet] = 0
 
 
-@njit(**COMPILED)
+@njit(inline="always", **COMPILED)
 def leave(queues, node):
     """Take the packet at the head of a node's queue out of it."""
     queues.first[node] = (queues.first[node] + 1) % queues.ring.shape[1]
@@ -83,7 +86,7 @@ def leave(queues, node):
     queues.fresh[node] = min(queues.fresh[node], queues.length[node])
 
 
-@njit(**COMPILED)
+@njit(inline="always", **COMPILED)
 def enter_created(packets, queues, first, time, totals):
     """Put the packets from ``first`` on that are made by ``time`` in their queues; the first made later."""
     while first < len(packets.created) and packets.created[first] <= time:
@@ -92,7 +95,7 @@ def enter_created(packets, queues, first, time, totals):
     return first
 
 
-@njit(**COMPILED)
+@njit(inline="always", **COMPILED)
 def receive(packets, queues, packet, node, sent, arrival, totals):
     """A packet sent at ``sent`` is at ``node``, which keeps it or is to pass it on."""
     packets.parts[packet, RETRY_WAIT] += sent - packets.tried[packet]
@@ -106,7 +109,7 @@ def receive(packets, queues, packet, node, sent, arrival, totals):
         queues.told[node] += 1
 
 
-@njit(**COMPILED)
+@njit(inline="always", **COMPILED)
 def head_of_queue(packets, queues, links, table, node):
     """The first packet in a node's queue that has a way, and its next hop; those before it are lost.
 

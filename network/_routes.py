@@ -21,7 +21,7 @@ class Links(NamedTuple):
     time: NDArray[np.float64]
     """(s,) s, from which each table holds; the first holds before its time as well."""
     distance: NDArray[np.float64]
-    """(s, n, n) m."""
+    """(s, n, n) m, symmetric, as is ``linked``."""
     linked: NDArray[np.bool_]
     """(s, n, n)."""
     relay: NDArray[np.bool_]
@@ -67,18 +67,18 @@ def _shortest_hop(links, table, holder, target):
     best, nearest = -1, np.inf
     for other in range(len(count)):
         if links.linked[table, holder, other] and count[holder] > 0 and count[other] == count[holder] - 1:
-            distance = links.distance[table, other, target]
+            distance = links.distance[table, target, other]
             if distance < nearest:
                 best, nearest = other, distance
     return best
 
 
-@njit(**COMPILED)
+@njit(inline="always", **COMPILED)
 def _geographic_hop(links, table, holder, target, told, void, packet):
     """DMDG. ``void`` (p,) m: the distance at which a packet met the void it is recovering from, or inf."""
     if links.linked[table, holder, target]:
         return target
-    distance = links.distance[table, :, target]
+    distance = links.distance[table, target]
     if distance[holder] < void[packet]:
         best, least = -1, np.inf
         for other in range(len(distance)):
@@ -93,7 +93,7 @@ def _geographic_hop(links, table, holder, target, told, void, packet):
     return _shortest_hop(links, table, holder, target)
 
 
-@njit(**COMPILED)
+@njit(inline="always", **COMPILED)
 def next_hop(links, table, holder, target, told, void, packet):
     """Node that ``holder`` sends ``packet`` to on its way to ``target``; -1 for no way.
 

@@ -50,18 +50,24 @@ def carry_tdma(
     totals[SLOTS] = max(last_slot - first_slot, 0)
     frame_slots = len(owners)
     first_frame = first_slot // frame_slots
+    count = len(packets.created)
     created, table, turn = 0, 0, -1
     for slot in range(first_slot, last_slot):
         time = slot * slot_s
         while table + 1 < len(links.time) and links.time[table + 1] <= time + ROUNDING_S:
             table += 1
-        created = enter_created(packets, queues, created, time + ROUNDING_S, totals)
+        # Calls cost more than slots in which nothing happens.
+        if created < count and packets.created[created] <= time + ROUNDING_S:
+            created = enter_created(packets, queues, created, time + ROUNDING_S, totals)
         node = owners[slot % frame_slots]
         if node < 0:
             place = _extra_owner(links, table, order, queues.told, turn)
             if place < 0:
                 continue
             turn, node = place, order[place]
+        if queues.length[node] == 0:
+            queues.told[node] = 0
+            continue
 
         length, size = queues.length[node], queues.ring.shape[1]
         for place in range(length - queues.fresh[node], length):
@@ -145,8 +151,8 @@ def carry_csma(
 
         # Packets end in the order in which they arrive, so that queues stay in order.
         ended = 0
-        for node in range(n):
-            if on_air and sending[node] and ends[node] == mini:
+        for node in range(n if on_air else 0):
+            if sending[node] and ends[node] == mini:
                 sent = (mini - airtime) * mini_s
                 arrival = sent + payload_s + links.distance[table, node, to[node]] / speed
                 at = ended
@@ -173,10 +179,10 @@ def carry_csma(
 
         created = enter_created(packets, queues, created, time + ROUNDING_S, totals)
         busy[:] = False
-        if on_air:
-            for node in range(n):
-                if sending[node]:
-                    busy |= links.linked[table, node]
+        for sender in range(n if on_air else 0):
+            if sending[sender]:
+                for node in range(n):
+                    busy[node] |= links.linked[table, sender, node]
         started = False
         for node in range(n):
             if sending[node] or queues.length[node] == 0:
