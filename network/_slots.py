@@ -50,15 +50,12 @@ def carry_tdma(
     totals[SLOTS] = max(last_slot - first_slot, 0)
     frame_slots = len(owners)
     first_frame = first_slot // frame_slots
-    count = len(packets.created)
     created, table, turn = 0, 0, -1
     for slot in range(first_slot, last_slot):
         time = slot * slot_s
         while table + 1 < len(links.time) and links.time[table + 1] <= time + ROUNDING_S:
             table += 1
-        # Calls cost more than slots in which nothing happens.
-        if created < count and packets.created[created] <= time + ROUNDING_S:
-            created = enter_created(packets, queues, created, time + ROUNDING_S, totals)
+        created = enter_created(packets, queues, created, time + ROUNDING_S, totals)
         node = owners[slot % frame_slots]
         if node < 0:
             place = _extra_owner(links, table, order, queues.told, turn)
