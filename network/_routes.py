@@ -75,7 +75,7 @@ def _shortest_hop(links, table, holder, target):
 
 @njit(inline="always", **COMPILED)
 def _geographic_hop(links, table, holder, target, told, void, packet):
-    """DMDG. ``void`` (p,) m: the distance at which a packet met the void it is recovering from, or inf."""
+    """DMDG. ``void`` (p,) m: the distance to go at which each packet last met a void; inf for none."""
     if links.linked[table, holder, target]:
         return target
     distance = links.distance[table, target]
@@ -87,7 +87,6 @@ def _geographic_hop(links, table, holder, target, told, void, packet):
                 if cost < least:
                     best, least = other, cost
         if best >= 0:
-            void[packet] = np.inf
             return best
         void[packet] = distance[holder]
     return _shortest_hop(links, table, holder, target)

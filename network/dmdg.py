@@ -35,8 +35,8 @@ def next_hop(
     """Node that ``holder`` sends a packet for ``target`` to, -1 for none: the twin of the compiled form.
 
     ``distance`` (n, n) m and ``linked`` (n, n) are one table, ``load`` (n,) packets, ``load_weight`` m a
-    packet. ``void`` is the distance, m, at which the packet met the void that it is recovering from, infinite
-    for none; what it is from now on is the second result.
+    packet. ``void`` is the distance to go, m, at which the packet last met a void, infinite for none; what it
+    is from now on is the second result.
     """
     if linked[holder, target]:
         return target, void
@@ -44,7 +44,7 @@ def next_hop(
     if to_go[holder] < void:
         nearer = linked[holder] & (to_go < to_go[holder])
         if nearer.any():
-            return int(np.argmin(np.where(nearer, to_go + load_weight * load, np.inf))), np.inf
+            return int(np.argmin(np.where(nearer, to_go + load_weight * load, np.inf))), void
         void = float(to_go[holder])
     hops = shortest_path(linked.astype(float), unweighted=True, indices=target)
     onward = linked[holder] & np.isfinite(hops) & (hops == hops[holder] - 1)

@@ -298,6 +298,22 @@ def test_a_packet_gets_out_of_a_void():
     assert np.isnan(got.arrival[0])
 
 
+def test_routes_follow_the_tables():
+    """From 0 to 3 by way of 1, from 1 s on by way of 2, from 2 s on not at all; both relays lie behind 0."""
+    x = np.array([[0, 0], [-3, 3], [-3, -3], [9, 0.0]]) * 1e3
+    distance = np.tile(np.linalg.norm(x[:, np.newaxis] - x, axis=2), (3, 1, 1))
+    linked = np.zeros((3, 4, 4), dtype=bool)
+    for table, relay in ((0, 1), (1, 2)):
+        linked[table, [0, relay, relay, 3], [relay, 0, 3, relay]] = True
+    created = [0.0, 0.5, 0.9995, 1.0, 1.5, 2.0]
+    got = carry(
+        one_flow(created, 0, 3), np.arange(3.0), distance, linked, ProtocolSettings(), np.arange(4), 0.0,
+        np.random.default_rng(0), 3.0,
+    )  # fmt: skip
+    assert got.fate.tolist() == [PacketFate.DELIVERED] * 5 + [PacketFate.NO_ROUTE]
+    assert got.hops.tolist() == [2, 2, 2, 2, 2, 0]
+
+
 def test_load_is_shared_between_relays():
     """Two relays between 0 and 3, of which 1 is a little nearer to 3."""
     distance = np.full((1, 4, 4), 5e3)
@@ -407,7 +423,7 @@ def test_csma_collides_where_senders_do_not_hear_each_other(hear, collide):
 
 
 def test_csma_receivers_that_send_do_not_hear():
-    """Two nodes that send to each other in the same mini-slot both lose."""
+    """Two nodes that send to each other in the same mini-slot both lose, until their windows are wider."""
     distance, linked = line((0, 1), nodes=2)
     traffic = Traffic(np.zeros(2), np.array([0, 1]), np.array([1, 0]))
     settings = ProtocolSettings(access="csma", window_min=1, window_max=1, max_retries=3)
@@ -416,6 +432,12 @@ def test_csma_receivers_that_send_do_not_hear():
     )
     assert (got.fate == PacketFate.RETRIES_EXHAUSTED).all()
     assert got.collisions == got.transmissions.sum() == 8
+    settings = ProtocolSettings(access="csma", window_min=1, window_max=1024, max_retries=20)
+    got = carry(
+        traffic, np.zeros(1), distance, linked, settings, np.arange(2), 0.0, np.random.default_rng(0), 1.0
+    )
+    assert got.delivered.all()
+    assert got.collisions >= 2
 
 
 def test_csma_far_apart_is_used_twice():
