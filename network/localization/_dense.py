@@ -27,6 +27,8 @@ from .problem import Array, Integers
 SQUARED, HUBER, ONE_SIDED = 0, 1, 2
 _PIVOTS = 4
 _MOST_DAMPING = 1e12
+_SHRINKING = 0.3
+"""Least shrinkage of a step, squared, for which the factor is kept."""
 
 
 class Terms(NamedTuple):
@@ -60,7 +62,7 @@ class Terms(NamedTuple):
     """1/m, see `problem.RangeProblem`."""
 
 
-@njit(inline="always", **COMPILED)
+@njit(**COMPILED)
 def robust(t, loss, threshold):
     """Cost and weight of a residual in standard deviations."""
     if loss == SQUARED or (t <= threshold and (loss == ONE_SIDED or t >= -threshold)):
@@ -69,8 +71,8 @@ def robust(t, loss, threshold):
     return threshold * (size - 0.5 * threshold), threshold / size
 
 
-@njit(inline="always", **COMPILED)
-def _link(S, terms, m, u, q):
+@njit(**COMPILED)
+def link(S, terms, m, u, q):
     """Residuals of link m with their weights and costs; their derivatives by the state of its first node
     are ``u`` (range) and ``q`` (rate), shape (B,)."""
     i, j = terms.links[m, 0], terms.links[m, 1]
@@ -116,7 +118,7 @@ def evaluate(S, place, terms, A, g):
     for m in range(len(terms.links)):
         if terms.w_range[m] == 0:
             continue
-        share, w1, r1, w2, r2 = _link(S, terms, m, u, q)
+        share, w1, r1, w2, r2 = link(S, terms, m, u, q)
         cost += share
         i, j = place[terms.links[m, 0]] * B, place[terms.links[m, 1]] * B
         for a in range(B):
@@ -158,7 +160,7 @@ def evaluate(S, place, terms, A, g):
     return cost
 
 
-@njit(inline="always", **COMPILED)
+@njit(**COMPILED)
 def _add(A, row, column, block, sign):
     for a in range(len(block)):
         for b in range(len(block)):
@@ -205,10 +207,19 @@ def substitute(U, b):
         for j in range(k + 1, n):
             b[j] -= f * U[k, j]
     for k in range(n - 1, -1, -1):
-        total = b[k]
-        for j in range(k + 1, n):
-            total -= U[k, j] * b[j]
-        b[k] = total / U[k, k]
+        # Four sums side by side: one alone would wait for itself at every term.
+        s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+        j = k + 1
+        while j + 3 < n:
+            s0 += U[k, j] * b[j]
+            s1 += U[k, j + 1] * b[j + 1]
+            s2 += U[k, j + 2] * b[j + 2]
+            s3 += U[k, j + 3] * b[j + 3]
+            j += 4
+        while j < n:
+            s0 += U[k, j] * b[j]
+            j += 1
+        b[k] = (b[k] - ((s0 + s1) + (s2 + s3))) / U[k, k]
 
 
 @njit(**COMPILED)
@@ -256,42 +267,52 @@ def support(A, floor):
 
 @njit(**COMPILED)
 def minimize(S, place, terms, floor, damping, max_iterations, tolerance, A, g):
-    """Levenberg-Marquardt on ``S`` in place, as `evaluate` and `support` have the normal equations.
+    """Levenberg-Marquardt on ``S`` in place, with the normal equations of `evaluate` and `support`.
 
-    It ends when a step, in standard deviations over all unknowns, is below ``tolerance``. A first ``damping``
-    of zero makes it Gauss-Newton for as long as that lowers the cost. Returns the cost, the number of
-    iterations, and whether it converged; ``A`` then holds the factor of the normal equations one
-    step before the end.
+    Steps without damping go on with the same factor for as long as they shrink quickly. It ends when a step,
+    in standard deviations over all unknowns, is below ``tolerance``. Returns the cost, the number of factors
+    made, and whether it converged; ``A`` holds the last of them, made at a point before the end.
     """
     new_cost = np.inf
     no_matrix, step, new_g = np.empty((0, 0)), np.empty_like(g), np.empty_like(g)
     for iteration in range(1, max_iterations + 1):
-        cost = evaluate(S, place, terms, A, g)
-        support(A, floor)
-        undamped = A.copy()
         while True:
+            cost = evaluate(S, place, terms, A, g)
+            support(A, floor)
             for k in range(len(g)):
                 A[k, k] *= 1 + damping
             step[:] = g
             if factorize(A):
                 substitute(A, step)
+                decrement = _product(g, step)
                 after = moved(S, place, step)
                 new_cost = evaluate(after, place, terms, no_matrix, new_g)
-                decrement = 0.0
-                for k in range(len(g)):
-                    decrement += g[k] * step[k]
                 # So close to the end rounding alone may raise the cost.
                 if new_cost <= cost or decrement <= tolerance**2:
                     break
             damping = max(10 * damping, 1e-4)
             if damping > _MOST_DAMPING:
                 return cost, iteration, False
-            A[:] = undamped
         S[:] = after
         if decrement <= tolerance**2 and damping < 1e-2:
-            if damping > 0:
-                A[:] = undamped
-                factorize(A)
             return new_cost, iteration, True
-        damping = 0.1 * damping if damping > 1e-9 else 0.0
+        while damping == 0:
+            step[:] = new_g
+            substitute(A, step)
+            before, decrement = decrement, _product(new_g, step)
+            if decrement > _SHRINKING * before:
+                break
+            S[:] = moved(S, place, step)
+            new_cost = evaluate(S, place, terms, no_matrix, new_g)
+            if decrement <= tolerance**2:
+                return new_cost, iteration, True
+        damping = 0.1 * damping if damping > 1e-5 else 0.0
     return new_cost, max_iterations, False
+
+
+@njit(**COMPILED)
+def _product(a, b):
+    total = 0.0
+    for k in range(len(a)):
+        total += a[k] * b[k]
+    return total

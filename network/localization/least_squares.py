@@ -103,10 +103,9 @@ def refine(
     cost, iterations, converged = _dense.minimize(
         S, place, terms, FLOOR[:B], 1e-3, max_iterations, tolerance, A, g
     )
-    if not converged:
-        _dense.evaluate(S, place, terms, A, g)
-        _dense.support(A, FLOOR[:B])
-        _dense.factorize(A)
+    _dense.evaluate(S, place, terms, A, g)
+    _dense.support(A, FLOOR[:B])
+    _dense.factorize(A)
     blocks = np.empty((N // B, B, B))
     _dense.covariance_blocks(A, blocks)
     cov = np.full((n, 3, 3), np.nan)
