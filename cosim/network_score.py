@@ -119,6 +119,16 @@ class NetworkScorer:
 
     _rows: list[tuple[Any, ...]] = field(default_factory=list)
 
+    @property
+    def runs(self) -> int:
+        """Number of runs so far."""
+        return len(self._rows)
+
+    @property
+    def runs(self) -> int:
+        """Number of runs so far."""
+        return len(self._rows)
+
     def add(self, record: NetworkRecord) -> None:
         """Take the record of one run."""
         made = np.isin(record.fate, MADE)
