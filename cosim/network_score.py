@@ -124,11 +124,6 @@ class NetworkScorer:
         """Number of runs so far."""
         return len(self._rows)
 
-    @property
-    def runs(self) -> int:
-        """Number of runs so far."""
-        return len(self._rows)
-
     def add(self, record: NetworkRecord) -> None:
         """Take the record of one run."""
         made = np.isin(record.fate, MADE)
