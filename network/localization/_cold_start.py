@@ -79,7 +79,7 @@ def linear_start(rows: Rows, anchor_x: Array) -> Array:
 
 
 def misfits(rows: Rows, x: Array) -> Booleans:
-    """Nodes that account for every range that its distance does not fit."""
+    """Nodes that account for ranges that their distances do not fit, if there are any: the worst about."""
     n = len(x)
     count, doubted = np.zeros(n, np.int32), np.zeros(n, np.bool_)
     rows.each(_relocate.count_misfits, *rows.links, rows.fixed, x, MISFIT_SD, count)

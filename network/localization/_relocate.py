@@ -235,18 +235,25 @@ def misfit(i, slot, other, ranges, root_weight, x, limit):
 
 @njit(**COMPILED)
 def doubt(rows, start, other, ranges, root_weight, fixed, x, limit, misfits, doubted):
-    """Mark in ``doubted``, (n,), nodes that account for every misfit: those with most of them first.
+    """Mark in ``doubted``, (n,), nodes that account for misfits: the worst first.
 
-    ``rows`` are those with misfits. A node's doubt takes its links from its neighbours' ``misfits``; where
-    two nodes have nothing against them but the link between them, either may be wrong, and both are
-    doubted.
+    ``rows`` are those with misfits. A node's doubt takes its links from its neighbours' ``misfits``. Where
+    two nodes have nothing against them but their link, either may be wrong, and both are doubted. A wrong
+    node drags its neighbours, so that they misfit with others: a node with less than half the misfits of a
+    neighbour is let be, until it is seen without that.
     """
     most = 0
-    for i in rows:
+    strongest = np.zeros(len(rows), np.int32)
+    for k in range(len(rows)):
+        i = rows[k]
         most = max(most, misfits[i])
+        for slot in range(start[i], start[i + 1]):
+            if root_weight[slot] > 0.0:
+                strongest[k] = max(strongest[k], misfits[other[slot]])
     for level in range(most, 0, -1):
-        for i in rows:
-            if misfits[i] != level:
+        for k in range(len(rows)):
+            i = rows[k]
+            if misfits[i] != level or 2 * level < strongest[k]:
                 continue
             doubted[i] = True
             misfits[i] = 0

@@ -28,7 +28,7 @@ MIRROR_MARGIN = 4.5
 """Loss: a mirror image that costs less than this more is not told apart at three standard deviations."""
 FIRM_LINKS = 9
 """Of a node that is held where it is without a look at what its neighbours hang on."""
-REFITS = 8
+REFITS = 12
 """Times at most that nodes whose ranges do not fit are left out, and the others refined without them."""
 
 
