@@ -20,6 +20,7 @@ from ..align.estimate import Array, Estimate, FixOutcome
 from ..sins import attitude
 from ..sins.units import DEG, DEG_PER_HOUR, MICRO_G, MILLISECOND
 from .files import whole_file
+from .network_score import NetworkScore
 from .run import Run
 from .scenario import Scenario
 from .score import (
@@ -37,7 +38,13 @@ _RUNS_PER_ROW_GROUP = 50
 
 
 def summarize(
-    name: str, scenario: Scenario, seed: int, flight: Flight, scores: dict[str, FilterScore], bound: Array
+    name: str,
+    scenario: Scenario,
+    seed: int,
+    flight: Flight,
+    scores: dict[str, FilterScore],
+    bound: Array,
+    network: NetworkScore | None = None,
 ) -> dict[str, Any]:
     """Content of `summary.json`; ``bound``, shape (m, 5), as `score.standard_deviations` gives it."""
     summary: dict[str, Any] = {
@@ -45,14 +52,21 @@ def summarize(
         "seed": seed,
         "runs": next(iter(scores.values())).runs,
         "flight": flight.summary,
-        "filters": {
-            name: _summarize_filter(score, scenario.fixes.kind != "replay") for name, score in scores.items()
-        },
+        **summarize_runs(scenario, scores, network),
         "bound": {"stamped": _named(bound[-1])},
     }
     if scenario.paper:
         summary["paper"] = scenario.paper.model_dump(include={"ekf", "l2linf"})
     return summary
+
+
+def summarize_runs(
+    scenario: Scenario, scores: dict[str, FilterScore], network: NetworkScore | None
+) -> dict[str, Any]:
+    """The blocks ``filters`` and, where there is one, ``network`` of the runs of a scenario or a variant."""
+    independent = scenario.fixes.kind != "replay"
+    filters = {name: _summarize_filter(score, independent) for name, score in scores.items()}
+    return {"filters": filters} | ({} if network is None else {"network": network.summary})
 
 
 def _summarize_filter(score: FilterScore, independent: bool) -> dict[str, Any]:

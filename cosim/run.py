@@ -4,10 +4,11 @@ import os
 import subprocess
 import sys
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -17,6 +18,9 @@ from ..align.bound import stamped_bound
 from ..align.estimate import Array, Estimate
 from ..align.filters import FILTERS, FilterSettings, align
 from ..network.fixes import Fixes
+from ..network.fleet import CentrePath
+from ..network.fleet_network import FleetNetwork, fly_network
+from ..network.record import NetworkRecord
 from ..network.source import draw_fixes
 from ..sins import attitude
 from ..sins.earth import GravityModel
@@ -27,7 +31,7 @@ from .scenario import CoarseAttitude, Scenario, ScenarioError
 Progress = Callable[[float, float], None]
 
 BOUND_DRAWS = 50
-"""Runs over whose losses the bound is averaged."""
+"""Runs over whose fixes the bound is averaged."""
 UNMODELLED = (
     "gyro_scale_factor_ppm",
     "accel_scale_factor_ppm",
@@ -49,6 +53,7 @@ class Run:
     fixes: Fixes
     q_nb_coarse: Array
     estimates: dict[str, Estimate]
+    network: NetworkRecord | None = None
 
 
 def generator(seed: int, run_id: int, source: str) -> np.random.Generator:
@@ -74,14 +79,13 @@ def alignment_window(scenario: Scenario, flight: Flight) -> Flight:
     return flight.window(start_s, end_s)
 
 
-def simulate(scenario: Scenario, window: Flight, run_id: int, seed: int) -> Run:
-    """One run over the alignment window."""
+def simulate(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> Run:
+    """One run over the alignment window of a flight."""
+    window = alignment_window(scenario, flight)
     imu = simulate_imu(
         window.time, window.dtheta_b, window.dv_b, scenario.imu, generator(seed, run_id, "imu")
     )
-    fixes = draw_fixes(
-        window, window.time[0], window.time[-1], scenario.fixes, generator(seed, run_id, "fixes")
-    )
+    fixes, network = fixes_of(scenario, flight, run_id, seed)
     rng = generator(seed, run_id, "coarse attitude")
     q_nb_coarse = coarse_attitude(window.q_nb[0], scenario.alignment.coarse, rng)
     estimates = {
@@ -98,7 +102,22 @@ def simulate(scenario: Scenario, window: Flight, run_id: int, seed: int) -> Run:
         )
         for name in scenario.alignment.filters
     }
-    return Run(run_id, imu, fixes, q_nb_coarse, estimates)
+    return Run(run_id, imu, fixes, q_nb_coarse, estimates, network)
+
+
+def fixes_of(
+    scenario: Scenario, flight: Flight, run_id: int, seed: int
+) -> tuple[Fixes, NetworkRecord | None]:
+    """The fixes of one run, and the record of the network where they come from one."""
+    window = alignment_window(scenario, flight)
+    start_s, end_s = window.time[0], window.time[-1]
+    if not isinstance(scenario.fixes, FleetNetwork):
+        return draw_fixes(window, start_s, end_s, scenario.fixes, generator(seed, run_id, "fixes")), None
+    path = CentrePath(flight, flight.time[0], flight.time[-1])
+    # The first run is shown, and so needs more.
+    return fly_network(
+        path, start_s, end_s, scenario.fixes, partial(generator, seed, run_id), every_node=run_id == 0
+    )
 
 
 def coarse_attitude(q_nb: Array, coarse: CoarseAttitude, rng: np.random.Generator) -> Array:
@@ -109,31 +128,31 @@ def coarse_attitude(q_nb: Array, coarse: CoarseAttitude, rng: np.random.Generato
 
 
 def simulate_all(
-    scenario: Scenario, window: Flight, runs: int, seed: int, progress: Progress | None = None
+    scenario: Scenario, flight: Flight, runs: int, seed: int, progress: Progress | None = None
 ) -> Iterator[Run]:
     """Runs 0 to ``runs - 1`` in order, worked on by all cores; what a run yields depends on its id alone."""
     workers = os.cpu_count() or 1
     with ThreadPoolExecutor(workers) as pool:
         ids = iter(range(runs))
         # A few runs in flight at a time, so that their records do not pile up.
-        pending = [pool.submit(simulate, scenario, window, i, seed) for i in islice(ids, 4 * workers)]
+        pending = [pool.submit(simulate, scenario, flight, i, seed) for i in islice(ids, 4 * workers)]
         done = 0
         while pending:
             yield pending.pop(0).result()
             done += 1
             for i in islice(ids, 1):
-                pending.append(pool.submit(simulate, scenario, window, i, seed))
+                pending.append(pool.submit(simulate, scenario, flight, i, seed))
             if progress:
                 progress(done, runs)
 
 
 @contextmanager
 def compiling_ahead() -> Iterator[None]:
-    """Compile the filters' loop in a process of its own, while this one does something else.
+    """Compile all loops in a process of its own, while this one does something else.
 
     Compiled code is kept on disk, so that this process finds it there when the context ends.
     """
-    program = f"from {__name__} import compile_filters; compile_filters()"
+    program = f"from {__name__} import compile_loops; compile_loops()"
     nowhere = subprocess.DEVNULL
     process = subprocess.Popen([sys.executable, "-c", program], stdin=nowhere, stdout=nowhere, stderr=nowhere)
     try:
@@ -145,8 +164,10 @@ def compiling_ahead() -> Iterator[None]:
         process.wait()
 
 
-def compile_filters() -> None:
-    """Call the filters' loop once, on a record of two samples."""
+def compile_loops() -> None:
+    """Call the network once, at rest for a second, and the filters' loop, on a record of two samples."""
+    path = CentrePath(_Rest(), 0.0, 1.0)
+    fly_network(path, 0.0, 1.0, FleetNetwork(), partial(generator, 0, 0), every_node=True)
     nothing, none, ids = np.zeros((2, 3)), np.empty(0), np.empty(0, np.int64)
     vectors = np.empty((0, 3))
     fixes = Fixes(none, none, none, vectors, vectors, np.empty((0, 6, 6)), ids, ids)
@@ -164,14 +185,23 @@ def compile_filters() -> None:
         )
 
 
-def bound_of(scenario: Scenario, window: Flight) -> Estimate:
-    """Posterior Cramer-Rao bound with stamps known, for fixes as the scenario's source sends them.
+class _Rest:
+    """A vehicle that stays where it is."""
 
-    Where packets are lost, the covariance is the mean over the losses of `BOUND_DRAWS` runs. Where
-    `no_bound_because` has a reason, everything but the time is NaN.
+    def at(self, t: Array, /) -> tuple[Array, Array, Array]:
+        nothing = np.zeros((len(t), 3))
+        return nothing, nothing, np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1))
+
+
+def bound_of(scenario: Scenario, window: Flight, fixes: Sequence[Fixes]) -> Estimate:
+    """Posterior Cramer-Rao bound with stamps known, for the fixes of some runs.
+
+    The covariance is the mean over the runs, which differ where packets are lost or come from a network.
+    There, errors of fixes count as independent; those of the anchors, which fixes share, can only raise the
+    true bound. Where `no_bound_because` has a reason, everything but the time is NaN.
     """
-    draws = BOUND_DRAWS if getattr(scenario.fixes, "loss_probability", 0.0) > 0 else 1
-    bounds = [_bound_of_run(scenario, window, run_id) for run_id in range(draws)]
+    alike = scenario.fixes.kind == "simulated" and getattr(scenario.fixes, "loss_probability", 0.0) == 0
+    bounds = [_bound_of_run(scenario, window, of_run) for of_run in (fixes[:1] if alike else fixes)]
     known = np.nan if no_bound_because(scenario) else 1.0
     return replace(
         bounds[0],
@@ -201,9 +231,7 @@ def no_bound_because(scenario: Scenario) -> str | None:
     return f"the filter has no model of {', '.join(unmodelled)}" if unmodelled else None
 
 
-def _bound_of_run(scenario: Scenario, window: Flight, run_id: int) -> Estimate:
-    rng = generator(scenario.seed, run_id, "fixes")
-    fixes = draw_fixes(window, window.time[0], window.time[-1], scenario.fixes, rng)
+def _bound_of_run(scenario: Scenario, window: Flight, fixes: Fixes) -> Estimate:
     lla, v_n, _ = window.at(fixes.t_valid)
     return stamped_bound(
         window.time,

@@ -119,6 +119,8 @@ class Scenario(Settings):
     imu: ImuErrors = ImuErrors()
     fixes: AnyFixSource = FixSource()
     alignment: AlignmentSettings = AlignmentSettings()
+    variants: dict[str, dict[str, Any]] = Field(default={})
+    """Other values for some fields, by their dotted names, under a name for each set."""
     paper: Paper | None = None
 
     @model_validator(mode="after")
@@ -133,6 +135,16 @@ class Scenario(Settings):
                 f" at {plan.end_s:g} s"
             )
         return self
+
+    @model_validator(mode="after")
+    def _variants_are_scenarios(self) -> "Scenario":
+        for name in self.variants:
+            self.variant(name)
+        return self
+
+    def variant(self, name: str) -> "Scenario":
+        """One of the variants, which has none itself. Raises `ScenarioError`, KeyError."""
+        return replaced(self, {**self.variants[name], "variants": {}}, origin=f"variant {name!r}")
 
     @property
     def digest(self) -> str:

@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from ..sins import attitude, earth
 from ..sins.settings import Settings
-from .source import Truth
+from .truth import Truth
 
 Array = NDArray[np.float64]
 Booleans = NDArray[np.bool_]

@@ -44,9 +44,9 @@ class NetworkRecord:
     anchor: Booleans
     """(n,)."""
     error_n: Array
-    """(k, n, 3) estimated less true position, NED at the fleet's centre, m; NaN where there is no estimate."""
+    """(k, n, 3) estimated less true position, NED at the fleet's centre, m; NaN where there is none."""
     sd_n: Array
-    """(k, n, 3) standard deviations that the estimator states, NED, m."""
+    """(k, n, 3) standard deviations that the estimator states, NED, m; NaN where none were asked for."""
     velocity_error_n: Array
     """(k, n, 3) NED, m/s."""
     outcome: Integers

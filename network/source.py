@@ -1,8 +1,8 @@
-"""Sources of fixes: one simulated with stated noise and delay, and one that replays a recording."""
+"""Sources of fixes: stated noise and delay, a recording, or the fleet's network (`fleet_network`)."""
 
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Any, Literal, Protocol, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.random import Generator
@@ -14,20 +14,14 @@ from ..sins.settings import Settings
 from ..sins.units import MILLISECOND
 from .delay import Delay, UniformDelay
 from .fixes import Fixes, FixesError, concatenate, read_fixes
+from .fleet_network import FleetNetwork
 from .tables import DataFile, TableError
+from .truth import Truth
 
 Array = NDArray[np.float64]
 
 # One child generator each, in this order: a new effect joins at the end, so that old draws stay.
 _EFFECTS = ("noise", "delay", "loss", "duplicates", "duplicate_delay", "order", "stamp")
-
-
-class Truth(Protocol):
-    """A vehicle's true motion as a function of time."""
-
-    def at(self, t: Array, /) -> tuple[Array, Array, Array]:
-        """``lla`` (k, 3), ``v_n`` (k, 3) and ``q_nb`` (k, 4) at times ``t`` (k,), s."""
-        ...
 
 
 class FixSource(Settings):
@@ -102,9 +96,12 @@ def _kind(source: Any) -> str:
 
 
 AnyFixSource = Annotated[
-    Annotated[FixSource, Tag("simulated")] | Annotated[RecordedFixes, Tag("replay")], Discriminator(_kind)
+    Annotated[FixSource, Tag("simulated")]
+    | Annotated[RecordedFixes, Tag("replay")]
+    | Annotated[FleetNetwork, Tag("network")],
+    Discriminator(_kind),
 ]
-"""Either source, chosen by ``kind``; ``"simulated"`` need not be said."""
+"""Any source, chosen by ``kind``; ``"simulated"`` need not be said."""
 
 
 def draw_fixes(

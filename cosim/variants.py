@@ -1,0 +1,35 @@
+"""The variants of a scenario: the same flight, seeds and sensor errors, with other values for some fields."""
+
+from typing import Any
+
+from ..aircraft.flight import Flight
+from .network_report import alignment_ratios
+from .network_score import NetworkScorer
+from .outputs import summarize_runs
+from .run import Progress, alignment_window, simulate_all
+from .scenario import Scenario, ScenarioError
+from .score import Scorer
+
+
+def run_variants(scenario: Scenario, flight: Flight, progress: Progress | None = None) -> dict[str, Any]:
+    """The block ``variants`` of `summary.json`: for each name ``filters``, ``network`` and ``ratios``.
+
+    Raises `ScenarioError` for a variant that flies another flight.
+    """
+    content: dict[str, Any] = {}
+    total = scenario.runs * len(scenario.variants)
+    for number, name in enumerate(scenario.variants):
+        variant = scenario.variant(name)
+        if variant.flight != scenario.flight:
+            raise ScenarioError(f"variants: {name!r} changes the flight, which all variants share")
+        scorer = Scorer(alignment_window(variant, flight), variant.alignment.filters)
+        network = NetworkScorer()
+        for done in simulate_all(variant, flight, variant.runs, variant.seed):
+            scorer.add(done)
+            if done.network is not None:
+                network.add(done.network)
+            if progress:
+                progress(number * scenario.runs + done.run_id + 1, total)
+        runs = summarize_runs(variant, scorer.scores(), network.score() if network.runs else None)
+        content[name] = runs | {"ratios": alignment_ratios(runs["filters"])}
+    return content
