@@ -90,7 +90,7 @@ def _figure_3(found: Figure3) -> Figure:
             fleet.plot(found.time, found.fleet_rmse[name][:, row], color=color, linewidth=1.0, label=name)
         for side in (-1, 1):
             own.axhline(side * found.bound[row], color="black", linestyle="--", linewidth=0.9)
-        label = "Cramer-Rao bound of the own ship, ranges of one instant (1 sigma)"
+        label = "bound of ranges alone"
         own.plot([], [], color="black", linestyle="--", linewidth=0.9, label=label)
         printed = TABLE_2["rmse_m"][row]
         fleet.axhline(printed, color="black", linestyle=":", linewidth=1.1, label="RMSE in Table 2")

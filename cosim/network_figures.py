@@ -128,12 +128,14 @@ def _own_fix(score: NetworkScore) -> Figure:
     figure, axes = panels(1, 3, 4.0)
     plan, vertical, velocity = axes[0]
     every = max(1, len(score.own_error) // _MAX_POINTS)
+    size = 2.0 if len(score.own_error) > 400 else 5.0
     for ax, rows, unit, what in ((plan, [0, 1], "m", "error"), (velocity, [3, 4], "m/s", "velocity error")):
         error = score.own_error[::every, rows]
-        ax.plot(error[:, 1], error[:, 0], ".", color=_FLEET, markersize=2, alpha=0.5)
-        _ellipses(ax, score.own_cov[np.ix_(rows, rows)])
+        cov = score.own_cov[np.ix_(rows, rows)]
+        ax.plot(error[:, 1], error[:, 0], ".", color=_FLEET, markersize=size, alpha=0.5)
+        _ellipses(ax, cov)
         ax.set(xlabel=f"{what} east, {unit}", ylabel=f"{what} north, {unit}")
-        reach = 1.05 * np.percentile(np.abs(error), 99.8)
+        reach = max(1.05 * np.percentile(np.abs(error), 99.8), 2.2 * np.sqrt(cov.diagonal().max()))
         ax.set(xlim=(-reach, reach), ylim=(-reach, reach))
         ax.set_aspect("equal", adjustable="box")
     down, sd = score.own_error[:, 2], float(np.sqrt(score.own_cov[2, 2]))

@@ -119,18 +119,16 @@ def _draw_errors(columns: Columns, time: Array, ned: Array, record: NetworkRecor
     """From each node to where it is taken to be, and the 1-sigma ellipsoid about the truth; enlarged."""
     error, sd = record.error_n[rows], record.sd_n[rows]
     shown = np.isfinite(error).all(axis=2) & ~record.anchor
-    lengths = shown.sum(axis=1)
     strips = np.stack([ned, ned + ERROR_EXAGGERATION * error], axis=2)[shown].astype(np.float32)
-    columns.static(
-        "network/errors", rr.LineStrips3D.from_fields(colors=[rgb(CLUSTER_HEAD)], radii=[1.5 * PIXELS])
-    )
-    columns.send("network/errors", time, rr.LineStrips3D.columns(strips=strips).partition(lengths))
-    ellipsoids = rr.Ellipsoids3D.columns(centers=ned[shown], half_sizes=ERROR_EXAGGERATION * sd[shown])
-    columns.static(
-        "network/one_sigma",
-        rr.Ellipsoids3D.from_fields(colors=[(*rgb(NODE), 140)], line_radii=[0.5 * PIXELS]),
-    )
-    columns.send("network/one_sigma", time, ellipsoids.partition(lengths))
+    look = rr.LineStrips3D.from_fields(colors=[rgb(CLUSTER_HEAD)], radii=[1.5 * PIXELS])
+    columns.static("network/errors", look)
+    lines = rr.LineStrips3D.columns(strips=strips)
+    columns.send("network/errors", time, lines.partition(shown.sum(axis=1)))
+    stated = shown & np.isfinite(sd).all(axis=2)
+    look = rr.Ellipsoids3D.from_fields(colors=[(*rgb(NODE), 140)], line_radii=[0.5 * PIXELS])
+    columns.static("network/one_sigma", look)
+    ellipsoids = rr.Ellipsoids3D.columns(centers=ned[stated], half_sizes=ERROR_EXAGGERATION * sd[stated])
+    columns.send("network/one_sigma", time, ellipsoids.partition(stated.sum(axis=1)))
 
 
 def _plot_fixes(columns: Columns, record: NetworkRecord) -> None:
