@@ -48,15 +48,14 @@ def mirror_test(
     )
 
 
-def far(x: Array, reference: Array, cov: Array) -> Booleans:
-    """(n,) whether two positions differ by more than the covariance of one explains; False where there is
-    none."""
+def far(x: Array, reference: Array, cov: Array, square: float = _SAME) -> Booleans:
+    """(n,) whether positions differ by more than the root of ``square`` standard deviations."""
     result = np.zeros(len(x), np.bool_)
     rows = np.isfinite(x.sum(axis=1)) & np.isfinite(reference.sum(axis=1)) & np.isfinite(cov).all(axis=(1, 2))
     rows &= np.trace(cov, axis1=1, axis2=2) > 0
     step = (x - reference)[rows]
     size = np.einsum("ka,ka->k", step, np.linalg.solve(cov[rows], step[:, :, None])[:, :, 0])
-    result[rows] = size > _SAME
+    result[rows] = size > square
     return result
 
 

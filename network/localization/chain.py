@@ -21,6 +21,12 @@ _BETTER = 1.0
 """Decrease of the cost from which on a solution is another, better one."""
 _TOLERANCE = 1e-3
 """Last step, in standard deviations of all unknowns together."""
+_SETTLED = 0.01
+"""Squared move over a whole solution more, in standard deviations, above which a position is not settled."""
+_CUT = 3.0
+"""Standard deviations at which residuals are cut off where they are to show a bias."""
+_UNTOLD = 0.05
+"""Share of a bias that a move of the node must leave, for residuals to show it."""
 _MEDIAN, _MEDIAN_SD = 0.6745, 0.786
 """Median size of a standard normal deviate; standard deviation of the median of k of them, times root k."""
 
@@ -44,7 +50,7 @@ class LocalizationSettings(Settings):
     use_sdp: bool = False
     """Start anew by semidefinite programming when positions stay uncertain; seconds of work, up to 50
     nodes."""
-    max_iterations: int = Field(default=100, ge=1, le=1000)
+    max_iterations: int = Field(default=50, ge=1, le=1000)
 
 
 def usable_nodes(problem: RangeProblem, min_neighbors: int = 4) -> Booleans:
@@ -77,18 +83,19 @@ def localize(problem: RangeProblem, settings: LocalizationSettings | None = None
     """
     settings = settings or LocalizationSettings()
     suspect = np.zeros(problem.nodes, np.bool_)
-    while True:
-        kept = ~suspect[problem.links].any(axis=1)
-        trusted = replace(
+    trusted, found = problem, _search(problem, settings)
+    while (worst := _contradicted(trusted, found, settings.suspect_sd)) is not None:
+        without = suspect | (np.arange(problem.nodes) == worst)
+        kept = ~without[problem.links].any(axis=1)
+        rest = replace(
             problem, links=problem.links[kept], ranges=problem.ranges[kept], range_sd=problem.range_sd[kept]
         )
-        found = _search(trusted, settings)
-        # In a group of doubt, any node may be the one in the wrong place.
-        clear = np.where(found.doubtful[:, None], np.nan, found.solution.x)
-        worst = _contradicted(trusted, clear, settings.suspect_sd)
-        if worst is None:
-            return _judged(trusted, settings, found, suspect)
-        suspect[worst] = True
+        again = _search(rest, settings)
+        # In a group of doubt, any node may be in the wrong place, unless all is clear without this one.
+        if found.doubtful[worst] and not again.certain:
+            break
+        suspect, trusted, found = without, rest, again
+    return _judged(trusted, settings, found, suspect)
 
 
 @dataclass(frozen=True)
@@ -99,6 +106,8 @@ class _Found:
     usable: Booleans
     ambiguous: Booleans
     doubtful: Booleans
+    certain: bool
+    """Whether one sequence from the anchors on fixes every node that is sharp."""
 
 
 def _refined(
@@ -132,7 +141,8 @@ def _search(problem: RangeProblem, settings: LocalizationSettings) -> _Found:
         passed = mirror_test(problem, best, loss, usable, margin)
         unique = passed.located & ~far(passed.x, best.x, passed.cov)
         ambiguous = doubtful = np.zeros(problem.nodes, np.bool_)
-        if (unique | ~_sharp(best.cov, settings)).all():
+        certain = bool((unique | ~_sharp(best.cov, settings)).all())
+        if certain:
             break
         x0 = np.where(passed.located[:, None], passed.x, np.nan)
         again = locate_successively(problem, loss=loss, usable=usable, x0=x0, clock0=passed.clock)
@@ -148,24 +158,42 @@ def _search(problem: RangeProblem, settings: LocalizationSettings) -> _Found:
         if other.cost > best.cost - _BETTER:
             break
         best = other
-    return _Found(best, usable, ambiguous, doubtful)
+    return _Found(best, usable, ambiguous, doubtful, certain)
 
 
-def _contradicted(problem: RangeProblem, x: Array, suspect_sd: float) -> int | None:
-    """The node whose ranges contradict its position most, by the median size of their residuals, if any do.
+def _contradicted(problem: RangeProblem, found: _Found, suspect_sd: float) -> int | None:
+    """The node whose own ranges contradict the rest most, if any do.
 
-    The median is deaf to a few ranges that are not in line of sight, or that lead to another bad node.
+    Either half of them are too far off, or all of them are longer or shorter by more than moving the node
+    explains: a bias of its transponder. The median, and residuals cut off, are deaf to a few ranges that are
+    not in line of sight, or that lead to another bad node.
     """
     i, j = problem.links.T
-    sizes = np.abs(problem.ranges - np.linalg.norm(x[i] - x[j], axis=1)) / problem.range_sd
+    x, clock = found.solution.x, found.solution.clock
+    apart = x[i] - x[j]
+    distances = np.linalg.norm(apart, axis=1)
+    residuals = problem.ranges - distances
+    if clock is not None:
+        residuals -= clock[i] - clock[j]
+    residuals /= problem.range_sd
     worst, largest = None, suspect_sd
     for node in range(problem.nodes):
-        own = sizes[(i == node) | (j == node)]
-        own = own[np.isfinite(own)]
-        if len(own):
-            excess = (np.median(own) - _MEDIAN) / (_MEDIAN_SD / np.sqrt(len(own)))
-            if excess > largest:
-                worst, largest = node, excess
+        own = np.flatnonzero(((i == node) | (j == node)) & np.isfinite(residuals))
+        if not len(own):
+            continue
+        excess = (np.median(np.abs(residuals[own])) - _MEDIAN) / (_MEDIAN_SD / np.sqrt(len(own)))
+        sides = np.where(i[own] == node, 1.0, -1.0)[:, None]
+        moves = np.zeros((len(own), 0))
+        if not problem.anchor[node]:
+            moves = sides * apart[own] / np.maximum(distances[own, None], 1.0)
+            moves = np.column_stack([moves, sides]) if problem.clocks else moves
+        basis = np.linalg.qr(moves / problem.range_sd[own, None])[0]
+        bias = 1 / problem.range_sd[own]
+        left = bias - basis @ (basis.T @ bias)
+        if np.linalg.norm(left) > _UNTOLD * np.linalg.norm(bias):
+            excess = max(excess, abs(left @ residuals[own].clip(-_CUT, _CUT)) / np.linalg.norm(left))
+        if excess > largest:
+            worst, largest = node, excess
     return worst
 
 
@@ -196,7 +224,11 @@ def _judged(
     outcome[found.ambiguous & sharp] = NodeOutcome.AMBIGUOUS
     outcome[found.doubtful & sharp] = NodeOutcome.INCONSISTENT
     outcome[~found.usable | located & ~enough] = NodeOutcome.TOO_FEW_NEIGHBOURS
-    outcome[good] = NodeOutcome.LOCATED if final.converged else NodeOutcome.NOT_CONVERGED
+    outcome[good] = NodeOutcome.LOCATED
+    if not final.converged:
+        # Two nodes nearer to each other than ranges are sharp may creep on; that need not concern others.
+        after = _refined(among, settings, final.x, final.clock, final.iterations)
+        outcome[good & far(after.x, final.x, final.cov, _SETTLED)] = NodeOutcome.NOT_CONVERGED
     outcome[suspect] = NodeOutcome.INCONSISTENT
     outcome[problem.anchor] = NodeOutcome.ANCHOR
     x, cov, clock = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.full(n, np.nan)

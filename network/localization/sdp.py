@@ -1,5 +1,7 @@
 """Start of a small network by semidefinite programming, where successive location goes astray."""
 
+import warnings
+
 import cvxpy as cp
 import numpy as np
 
@@ -49,16 +51,20 @@ def sdp_start(problem: RangeProblem) -> Array:
         targets.append((distance * scale) ** 2)
         sds.append(2 * max(distance, sd) * sd * scale**2)
     Z = cp.Variable((3 + len(free), 3 + len(free)), PSD=True)
-    misfit = (np.array(rows) @ cp.vec(Z, order="C") - np.array(targets)) / np.array(sds)
+    weight = np.mean(sds) / np.array(sds)
+    misfit = cp.multiply(weight, np.array(rows) @ cp.vec(Z, order="C") - np.array(targets))
     cost = cp.norm1(misfit)
     if problem.height is not None:
         has = np.flatnonzero(np.isfinite(problem.height[free]))
         # A level plane is near enough for a start: the curve below it is tens of metres.
         down = (-problem.height[free[has]] - centre[2]) * scale
-        cost += cp.norm1(Z[2, 3 + has] - down) / (problem.height_sd * scale)
+        cost += cp.norm1(Z[2, 3 + has] - down) * float(np.mean(sds)) / (problem.height_sd * scale)
     task = cp.Problem(cp.Minimize(cost), [Z[:3, :3] == np.eye(3)])
     try:
-        task.solve(solver=cp.CLARABEL)
+        with warnings.catch_warnings():
+            # An inaccurate solution is a start like any other.
+            warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
+            task.solve(solver=cp.CLARABEL)
     except cp.SolverError as error:
         raise LocalizationError(f"the semidefinite start found no solution: {error}") from error
     if Z.value is None:
