@@ -28,17 +28,28 @@ class Size:
     """Alignment runs."""
     scaling_runs: int
     """Alignment runs of each repetition that compares numbers of cores."""
+    nodes: int
+    """Nodes of the largest network to locate."""
     changes: Mapping[str, object]
     """What differs from the bundled scenario."""
 
 
-FULL = Size(rounds=7, samples=1_000_000, oracle_samples=4_000, runs=1_000, scaling_runs=100, changes={})
+FULL = Size(
+    rounds=7,
+    samples=1_000_000,
+    oracle_samples=4_000,
+    runs=1_000,
+    scaling_runs=100,
+    nodes=1_000_000,
+    changes={},
+)
 QUICK = Size(
     rounds=1,
     samples=20_000,
     oracle_samples=200,
     runs=8,
     scaling_runs=4,
+    nodes=5_000,
     changes={
         "flight.altitude_m": 200.0,
         "flight.fdm_rate_hz": 100,
