@@ -1,6 +1,7 @@
 """The command line. Exit status: 0 done, 2 the input is wrong (told in one line), 1 the program failed."""
 
 import json
+import os
 import shlex
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from .terminal import deferred_interrupt, error_console, out_console, progress_b
 
 if TYPE_CHECKING:
     from ..aircraft.flight import Flight
+    from ..network.fixes import Fixes
     from .run import Run
     from .scenario import Scenario
 
@@ -42,6 +44,8 @@ def main() -> None:
     from ..aircraft.envelope import FlightError
     from .scenario import ScenarioError
 
+    # The cores are at work on runs of their own already: more threads in each would only wait.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     warnings.showwarning = lambda message, *_, **__: error_console.print(f"warning: {message}")
     try:
         status = app(standalone_mode=False)
@@ -73,6 +77,9 @@ def run(
     filter_: Annotated[
         list[str] | None, typer.Option("--filter", help="Filter to run; may be given again.")
     ] = None,
+    variants: Annotated[
+        bool, typer.Option("--variants", help="Run the scenario's variants as well, for one table.")
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
     view: Annotated[bool, typer.Option("--view", help="Open the recording in the Rerun viewer.")] = False,
     no_cache: NoCache = False,
@@ -81,14 +88,25 @@ def run(
 ) -> None:
     """Fly a scenario, align on it many times, and write summary, estimates, recording and report."""
     from ..aircraft.cache import is_cached
+    from .network_score import NetworkScorer
     from .outputs import estimates_writer, manifest, summarize, write_json
     from .recording import write_recording
     from .report import write_report
-    from .run import alignment_window, bound_of, compiling_ahead, no_bound_because, simulate_all
+    from .run import (
+        BOUND_DRAWS,
+        alignment_window,
+        bound_of,
+        compiling_ahead,
+        no_bound_because,
+        simulate_all,
+    )
     from .scenario import ScenarioError
     from .score import Scorer, standard_deviations
+    from .variants import run_variants
 
     name, settings = _load(scenario, runs, seed, filter_)
+    if variants and not settings.variants:
+        raise InputError(f"--variants: {scenario} has none")
     folder = _output_folder(out or Path(f"fleetalign-{name}"))
     silent = quiet or as_json
     flown_before = is_cached(settings.flight) and not no_cache
@@ -98,27 +116,36 @@ def run(
         window = alignment_window(settings, flight)
     except ScenarioError as error:
         raise ScenarioError(f"{scenario}: {error}") from error
-    scorer = Scorer(window, settings.alignment.filters)
+    scorer, network = Scorer(window, settings.alignment.filters), NetworkScorer()
     first: Run | None = None
+    fixes: list[Fixes] = []
     done = 0
     with (
         deferred_interrupt() as interrupted,
         progress_bar("aligning", silent) as progress,
         estimates_writer(folder / "estimates.parquet", window, settings.imu.vibration_mps) as estimates,
     ):
-        for done_run in simulate_all(settings, window, settings.runs, settings.seed, progress):
+        for done_run in simulate_all(settings, flight, settings.runs, settings.seed, progress):
             first = first or done_run
             scorer.add(done_run)
+            if done_run.network is not None:
+                network.add(done_run.network)
+            if len(fixes) < BOUND_DRAWS:
+                fixes.append(done_run.fixes)
             estimates.add(done_run)
             done += 1
             if interrupted():
                 error_console.print(f"stopped after {done} of {settings.runs} runs; these are kept")
                 break
     assert first is not None
-    bound = bound_of(settings, window)
+    bound = bound_of(settings, window, fixes)
     bound_sd = standard_deviations(window, bound, settings.imu.vibration_mps)
     scores = scorer.scores()
-    summary = summarize(name, settings, settings.seed, flight, scores, bound_sd)
+    network_score = network.score() if network.runs else None
+    summary = summarize(name, settings, settings.seed, flight, scores, bound_sd, network_score)
+    if variants and done == settings.runs:
+        with progress_bar("variants", silent) as progress:
+            summary["variants"] = run_variants(settings, flight, progress)
     write_json(folder / "summary.json", summary)
     command = shlex.join(["fleetalign", *sys.argv[1:]])
     about = manifest(name, settings, settings.seed, done, command)
@@ -134,7 +161,17 @@ def run(
             settings.imu.vibration_mps,
         )
         progress(1, 2)
-        write_report(folder / "report.html", settings, flight, window, scores, bound_sd, summary, about)
+        write_report(
+            folder / "report.html",
+            settings,
+            flight,
+            window,
+            scores,
+            bound_sd,
+            summary,
+            about,
+            (first.network, network_score) if first.network is not None and network_score else None,
+        )
         progress(2, 2)
     if as_json:
         typer.echo(json.dumps(summary, indent=2, allow_nan=False))
@@ -192,6 +229,48 @@ def fly(
         for key, value in flight.summary.items():
             shown = value if isinstance(value, str) else f"{value:.2f}"
             out_console.print(f"{key:24} {shown}")
+
+
+@app.command()
+def localize(
+    scenario: ScenarioArgument = "gao2009",
+    nodes: Annotated[
+        int | None,
+        typer.Option(max=2_000_000, help="Number of nodes; above 200 the study of scale, without a flight."),
+    ] = None,
+    draws: Annotated[int, typer.Option(help="Draws of the network.")] = 200,
+    seed: Annotated[int | None, typer.Option(help="Seed of all draws; the scenario's by default.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results.")] = None,
+    no_cache: NoCache = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run a scenario's network alone: coverage, accuracy, delay and load, and the paper's figures."""
+    from .localize_command import MOST_NODES, study_fleet, study_scale, with_network
+    from .outputs import write_json
+
+    if draws < 1:
+        raise InputError(f"--draws {draws}: at least 1")
+    name, settings = _load(scenario, seed=seed)
+    large = nodes is not None and nodes > MOST_NODES
+    settings = settings if large else with_network(settings, scenario, nodes)
+    folder, silent = _output_folder(out or Path(f"fleetalign-localize-{name}")), quiet or as_json
+    if nodes is not None and large:
+        with progress_bar(f"locating {nodes} nodes", silent) as progress:
+            told = study_scale(nodes, settings.seed, progress)
+    else:
+        flight = _flown(settings, no_cache, silent)
+        command = shlex.join(["fleetalign", *sys.argv[1:]])
+        with progress_bar("localizing", silent) as progress:
+            told = study_fleet(name, settings, flight, draws, folder / "localize.html", command, progress)
+    write_json(folder / "localize.json", told.summary)
+    if as_json:
+        typer.echo(json.dumps(told.summary, indent=2, allow_nan=False))
+    elif not quiet:
+        for part in told.parts:
+            out_console.print(part)
+        for path in sorted(folder.glob("localize.*")):
+            out_console.print(str(path), soft_wrap=True)
 
 
 @app.command()

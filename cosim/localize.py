@@ -128,6 +128,6 @@ def _draw(
         positions = localize(problem, network.localization)
         x = np.where((positions.outcome <= NodeOutcome.LOCATED)[:, None], positions.x, np.nan)
         drawn = judge(x, still, problem, cramer_rao(problem, still.x))
-        _, record = fly_network(study.path, study.epoch_s, study.epoch_s, network, draws, every_node=True)
+        _, record = fly_network(study.path, study.epoch_s, study.epoch_s, network, draws)
         found[kind] = drawn, record
     return found

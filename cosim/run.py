@@ -114,10 +114,7 @@ def fixes_of(
     if not isinstance(scenario.fixes, FleetNetwork):
         return draw_fixes(window, start_s, end_s, scenario.fixes, generator(seed, run_id, "fixes")), None
     path = CentrePath(flight, flight.time[0], flight.time[-1])
-    # The first run is shown, and so needs more.
-    return fly_network(
-        path, start_s, end_s, scenario.fixes, partial(generator, seed, run_id), every_node=run_id == 0
-    )
+    return fly_network(path, start_s, end_s, scenario.fixes, partial(generator, seed, run_id))
 
 
 def coarse_attitude(q_nb: Array, coarse: CoarseAttitude, rng: np.random.Generator) -> Array:
@@ -167,7 +164,7 @@ def compiling_ahead() -> Iterator[None]:
 def compile_loops() -> None:
     """Call the network once, at rest for a second, and the filters' loop, on a record of two samples."""
     path = CentrePath(_Rest(), 0.0, 1.0)
-    fly_network(path, 0.0, 1.0, FleetNetwork(), partial(generator, 0, 0), every_node=True)
+    fly_network(path, 0.0, 1.0, FleetNetwork(), partial(generator, 0, 0))
     nothing, none, ids = np.zeros((2, 3)), np.empty(0), np.empty(0, np.int64)
     vectors = np.empty((0, 3))
     fixes = Fixes(none, none, none, vectors, vectors, np.empty((0, 6, 6)), ids, ids)

@@ -71,7 +71,6 @@ def fly_network(
     end_s: float,
     settings: FleetNetwork,
     generator: Callable[[str], Generator],
-    every_node: bool = False,
 ) -> tuple[Fixes, NetworkRecord]:
     """The own ship's fixes from ``start_s`` to ``end_s``, in order of arrival, and what the network did.
 
@@ -79,7 +78,6 @@ def fly_network(
     ----------
     path : of the fleet's centre, over the whole interval at least.
     generator : gives the random numbers of "fleet", "radio" and "protocol".
-    every_node : whether all nodes get standard deviations, not the own ship alone.
 
     Raises `FixesError` for an interval that ends before it starts.
     """
@@ -97,7 +95,7 @@ def fly_network(
     update_s = settings.protocol.route_update_s
     tables = np.arange(start_s - warm_up_s, end_s + 1e-9, update_s)
     topology = draw_topology(fleet, radio, tables, settings.protocol, heads_rng)
-    found = _localize(fleet, radio, topology, t, settings, every_node)
+    found = _localize(fleet, radio, topology, t, settings)
 
     solver = solvers(formation.solver_key)
     early = int(warm_up_s * settings.rate_hz)
@@ -172,9 +170,7 @@ class _Found(NamedTuple):
     """(k, n) s."""
 
 
-def _localize(
-    fleet: Fleet, radio: Radio, topology: Topology, t: Array, settings: FleetNetwork, every_node: bool
-) -> _Found:
+def _localize(fleet: Fleet, radio: Radio, topology: Topology, t: Array, settings: FleetNetwork) -> _Found:
     """Observe and locate all nodes at all epochs."""
     tracker = Tracker(
         fleet.formation.anchor,
@@ -183,7 +179,6 @@ def _localize(
         settings.fleet.anchor_velocity_sd_mps,
         settings.radio.assumed_altitude_sd_m,
         settings.radio.clock if settings.radio.ranging == "one_way" else None,
-        every_node,
     )
     chunks = [
         _localize_chunk(fleet, radio, tracker, topology, t[first : first + _CHUNK])
@@ -227,7 +222,7 @@ def _localize_chunk(fleet: Fleet, radio: Radio, tracker: Tracker, topology: Topo
     return _Found(
         lla=lla,
         error_n=track.x - (x_e - centre_e[:, None]) @ C_en,
-        sd_n=track.sd[..., :3],
+        sd_n=np.broadcast_to(track.sd[:, :3], track.x.shape),
         velocity_error_n=track.v - v_e @ C_en,
         outcome=track.outcome,
         own_lla=own_lla,

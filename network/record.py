@@ -46,7 +46,7 @@ class NetworkRecord:
     error_n: Array
     """(k, n, 3) estimated less true position, NED at the fleet's centre, m; NaN where there is none."""
     sd_n: Array
-    """(k, n, 3) standard deviations that the estimator states, NED, m; NaN where none were asked for."""
+    """(k, n, 3) standard deviations that the estimator states, NED, m; NaN where there is no estimate."""
     velocity_error_n: Array
     """(k, n, 3) NED, m/s."""
     outcome: Integers

@@ -15,22 +15,7 @@ from ._dense import Terms, covariance_blocks, link, minimize
 
 @njit(**COMPILED)
 def track(
-    t,
-    S,
-    place,
-    first,
-    w_range,
-    w_rate,
-    ranges,
-    rates,
-    beliefs,
-    heights,
-    floor,
-    weak,
-    tolerance,
-    most,
-    every,
-    out,
+    t, S, place, first, w_range, w_rate, ranges, rates, beliefs, heights, floor, weak, tolerance, most, out
 ):
     """Solve epoch after epoch; ``S`` (n, B) goes from the start to the state of the last one.
 
@@ -42,8 +27,7 @@ def track(
         that hears nobody in its place, and is of no weight for one that is located.
     ranges, w_range, rates, w_rate : (k, m). beliefs : (k, n, B) of anchors. heights : (k, n).
     most : greatest number of iterations an epoch.
-    every : epochs from one covariance of all nodes to the next, 0 for none.
-    out : states (k, n, B); covariance of node 0 (k, B, B); covariances of all (k, n, B, B), or (0, n, B, B);
+    out : states (k, n, B); covariance of node 0 (k, B, B); covariances of all at the first epoch (n, B, B);
         misfit (k, n), residuals in it (k, n) and usable neighbours (k, n), as of `_misfits`; converged (k,).
     """
     states, own_cov, cov, misfit, residuals, neighbours, converged = out
@@ -87,15 +71,12 @@ def track(
             own = A[N - B :, N - B :].copy()
             covariance_blocks(own, blocks[:1])
             own_cov[k] = blocks[0]
-        if every > 0:
-            if k % every == 0:
-                covariance_blocks(A, blocks)
-                cov[k] = np.nan
-                for i in range(n):
-                    if place[i] >= 0:
-                        cov[k, i] = blocks[place[i]]
-            else:
-                cov[k] = cov[k - 1]
+        if k == 0:
+            covariance_blocks(A, blocks)
+            cov[:] = np.nan
+            for i in range(n):
+                if place[i] >= 0:
+                    cov[i] = blocks[place[i]]
         _misfits(S, terms, misfit[k], residuals[k], neighbours[k])
 
 

@@ -26,8 +26,6 @@ TOLERANCE = 0.03
 """Size of the last step of an epoch, in standard deviations of all unknowns together."""
 INCONSISTENT_CHANCE = 1e-6
 """Chance at which noise alone makes a node count as inconsistent."""
-EVERY = 10
-"""Epochs that share the standard deviations of nodes other than the own ship."""
 _ITERATIONS = 20
 _NANOSECOND = 1e-9
 
@@ -71,7 +69,7 @@ class Track:
     own_cov: Array
     """(k, 6, 6) of the own ship's position and velocity."""
     sd: Array
-    """(k, n, 6) of every node's position and velocity, one for a group of epochs; NaN unless asked for."""
+    """(n, 6) of each node's position and velocity, at the first of the epochs; NaN for nodes without."""
     outcome: Integers
     """(k, n) `NodeOutcome`."""
 
@@ -95,7 +93,6 @@ class Tracker:
     anchor : (n,). anchor_position_sd, anchor_velocity_sd : m and m/s, of each component that anchors believe.
     altitude_sd : m, of the heights.
     clocks : settings of the clocks where ranging is one-way; None where clocks cancel.
-    every_node : whether all nodes get standard deviations, not the own ship alone.
     """
 
     def __init__(
@@ -106,10 +103,9 @@ class Tracker:
         anchor_velocity_sd: float,
         altitude_sd: float = np.nan,
         clocks: ClockSettings | None = None,
-        every_node: bool = False,
     ) -> None:
         self._anchor, self._settings, self._altitude_sd = anchor, settings, altitude_sd
-        self._clocks, self._every_node = clocks is not None, every_node
+        self._clocks = clocks is not None
         # Anchors that err less than this would make the equations stiff, and no fix better.
         self._anchor_position_sd = max(anchor_position_sd, 1e-2)
         components = [_Component(self._anchor_position_sd, 1e5, 1e4)] * 3
@@ -142,7 +138,7 @@ class Tracker:
         w_range, w_rate = joined * epochs.range_sd**-2.0, joined * epochs.rate_sd**-2.0
         terms = self._terms(epochs, beliefs[0], w_range[0], w_rate[0])
         states, own_cov = np.empty((k, n, B)), np.empty((k, B, B))
-        cov = np.empty((k if self._every_node else 0, n, B, B))
+        cov = np.empty((n, B, B))
         misfit, residuals = np.empty((k, n)), np.empty((k, n), np.int64)
         neighbours, converged = np.empty((k, n), np.int64), np.empty(k, np.bool_)
         heights = np.broadcast_to(terms.height, (k, n)) if epochs.height is None else epochs.height
@@ -161,15 +157,12 @@ class Tracker:
             self._weak,
             TOLERANCE,
             _ITERATIONS,
-            EVERY if self._every_node else 0,
             (states, own_cov, cov, misfit, residuals, neighbours, converged),
         )
         self._t = float(epochs.t[-1])
-        if not self._every_node:
-            cov = np.full((k, n, B, B), np.nan)
         own_cov = own_cov[:, self._kinematic][:, :, self._kinematic]
-        sd = np.sqrt(np.einsum("knii->kni", cov))[..., self._kinematic]
-        spread = np.sqrt(np.sum(sd[..., :3] ** 2, axis=-1))
+        sd = np.sqrt(np.einsum("nii->ni", cov))[:, self._kinematic]
+        spread = np.tile(np.sqrt(np.sum(sd[:, :3] ** 2, axis=-1)), (k, 1))
         spread[:, OWN_SHIP] = np.sqrt(np.einsum("kii->k", own_cov[:, :3, :3]))
 
         outcome = np.full((k, n), int(NodeOutcome.LOCATED))
