@@ -6,7 +6,9 @@ import rerun.blueprint as rrb
 
 from ..aircraft.flight import Flight
 from ..align.estimate import Array
+from ..network.record import NetworkRecord
 from ._rerun import TIMELINE
+from .network_scenery import ERROR_EXAGGERATION, FLEET_HEIGHT_EXAGGERATION, fleet_ned
 from .run import Run
 from .scenery import HEIGHT_EXAGGERATION, local_ned
 
@@ -103,6 +105,7 @@ def blueprint(flight: Flight, window: Flight, run: Run, errors: dict[str, Errors
                 rrb.StateTimelineView(origin="flight/phase", name="Phases", time_view=whole),
                 name="Flight",
             ),
+            *([] if run.network is None else [_network(run.network, aligning)]),
         ),
         rrb.TimePanel(timeline=TIMELINE, state="collapsed", play_state="paused"),
         collapse_panels=True,
@@ -142,6 +145,34 @@ def _scene(flight: Flight, window: Flight, run: Run) -> rrb.Spatial3DView:
             eye_up=-down,
         ),
     )
+
+
+def _network(record: NetworkRecord, axis: rrb.TimeAxis) -> rrb.Horizontal:
+    """The whole fleet from above at a slant, and beside it what became of the own ship's fixes."""
+    reach = float(np.abs(fleet_ned(record.lla[0])[:, :2]).max())
+    height = FLEET_HEIGHT_EXAGGERATION * float(record.lla[0, :, 2].mean())
+    space = rrb.Spatial3DView(
+        origin="network",
+        name=f"Fleet, heights times {FLEET_HEIGHT_EXAGGERATION:g}, errors times {ERROR_EXAGGERATION:g}",
+        eye_controls=rrb.EyeControls3D(
+            position=np.array([-1.6 * reach, 0.5 * reach, -1.2 * reach - height]),
+            look_target=np.array([0.0, 0.0, -height]),
+            eye_up=np.array([0.0, 0.0, -1.0]),
+        ),
+    )
+
+    def plot(path: str, name: str) -> rrb.TimeSeriesView:
+        return rrb.TimeSeriesView(origin=f"network_fixes/{path}", name=name, axis_x=axis)
+
+    beside = rrb.Vertical(
+        plot("error_m", "Error of the own ship's fix, m"),
+        plot("delay_ms", "Delay of the own ship's fix, ms"),
+        plot("nodes", "Nodes"),
+        rrb.StateTimelineView(origin="network_fixes/fate", name="Fate of fixes", time_view=axis),
+        rrb.TextLogView(origin="network_log", name="Fixes that did not arrive"),
+        row_shares=[3, 3, 2, 1, 2],
+    )
+    return rrb.Horizontal(space, beside, column_shares=[3, 2], name="Network")
 
 
 def _along(displacement: Array) -> tuple[Array, Array, Array]:

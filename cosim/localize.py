@@ -42,6 +42,8 @@ class LocalizeStudy:
     seed: int = 1
     figure_2_draws: int = 24
     """Fleets for each point of Fig. 2."""
+    figure_3_s: float = 500.0
+    """Duration of Fig. 3, from the start of the flight."""
     figure_3_rate_hz: float = 1.0
     """Epochs a second of Fig. 3."""
 
@@ -106,7 +108,8 @@ def run_study(study: LocalizeStudy, progress: Progress | None = None) -> Localiz
             first.setdefault(kind, record)
     by_method = list(counted(equations(study.seed, study.draws), _EQUATIONS_S))
     by_error = list(counted(figure_2(study.seed, fleets), _FIGURE_2_S))
-    flown = counted(figure_3(study.network, study.path, study.seed, study.figure_3_rate_hz), _FIGURE_3_S)
+    duration_s, rate_hz = study.figure_3_s, study.figure_3_rate_hz
+    flown = counted(figure_3(study.network, study.path, study.seed, duration_s, rate_hz), _FIGURE_3_S)
     return LocalizeResults(
         ranges={kind: pooled(drawn) for kind, drawn in located.items()},
         scores={kind: scorer.score() for kind, scorer in scorers.items()},

@@ -23,8 +23,6 @@ from .still import PROTOCOLS
 
 MOST_NODES = 200
 """Of a fleet that is studied in all detail; that of more nodes is the study of scale."""
-MOST_LARGE_NODES = 2_000_000
-"""Some 8 GB."""
 
 
 @dataclass(frozen=True)
@@ -73,9 +71,7 @@ def study_fleet(
 
 
 def study_scale(nodes: int, seed: int, progress: Progress | None = None) -> Told:
-    """Locate ``nodes`` nodes from nothing and from near the truth. Raises `ScenarioError` for too many."""
-    if nodes > MOST_LARGE_NODES:
-        raise ScenarioError(f"option: nodes = {nodes}: at most {MOST_LARGE_NODES}")
+    """Locate ``nodes`` nodes from nothing and from near the truth."""
     found = plain(large_study(nodes, seed, progress))
     table = Table(
         title=Text(f"{nodes} nodes, links to {LINK_RADIUS_M / 1000:g} km, ranges to {RANGE_SD_M:g} m"),

@@ -18,7 +18,6 @@ from .network_scenery import fleet_ned
 from .parallel import in_order
 from .run import generator
 
-SECONDS = 500.0
 RANGE_SD_M = 50.0
 BARO_SD_M = 11.0
 """Of the barometric altitude that Table 2 is set beside as well."""
@@ -62,11 +61,11 @@ def flights(network: FleetNetwork) -> dict[str, FleetNetwork]:
 
 
 def figure_3(
-    network: FleetNetwork, path: CentrePath, seed: int, rate_hz: float
+    network: FleetNetwork, path: CentrePath, seed: int, duration_s: float, rate_hz: float
 ) -> Iterator[tuple[str, NetworkRecord]]:
     """A record for each of `flights`, from the path's start, the same fleet and the same noise for all."""
     start_s = float(path.time[0])
-    end_s = min(start_s + SECONDS, float(path.time[-1]))
+    end_s = min(start_s + duration_s, float(path.time[-1]))
 
     def work(item: tuple[str, FleetNetwork]) -> tuple[str, NetworkRecord]:
         name, variant = item

@@ -17,6 +17,9 @@ Everything stands on one timeline, ``sim_time``, s from brake release. Entities:
     Estimated biases and mean delay with 3 sigma; what was drawn under ``drawn``.
 ``nis/<filter>``, ``outcome/<filter>``, ``log/<filter>``
     For each fix, at its arrival.
+``network/...``, ``network_fixes/...``, ``network_log``
+    Where the run had a network: its nodes, links and errors about the fleet's centre; the own ship's fixes,
+    their delays, and why some were not made or did not arrive.
 """
 
 import hashlib
@@ -35,6 +38,7 @@ from ..sins.error_model import ACCEL, GYRO, POSITION, VELOCITY
 from ..sins.units import DEG, DEG_PER_HOUR, MICRO_G, MILLISECOND
 from . import layout
 from ._rerun import Columns
+from .network_scenery import draw_network
 from .palette import BOUND, OUTCOME_COLORS, TRUTH, filter_color, rgb
 from .run import Run
 from .scenery import draw_fixes, draw_flight, draw_track, told
@@ -90,6 +94,8 @@ def write_recording(
     for name, estimate in run.estimates.items():
         draw_fixes(columns, flight, name, estimate, fixes)
         _tell_outcomes(columns, name, estimate, fixes)
+    if run.network is not None:
+        draw_network(columns, run.network, float(flight.time[0]))
     rec.flush()
     rec.disconnect()
 

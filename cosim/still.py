@@ -149,12 +149,19 @@ def pooled(draws: Iterable[Drawn]) -> dict[str, Any]:
             "coverage": located / blind,
             "localizable": localizable / blind,
             "position_error_m": size / located,
-            "position_error_over_range": size / located / np.nanmean(range_m),
+            "position_error_over_range": size / located / _mean_known(range_m),
             "position_rmse_m": np.sqrt(square / located),
-            "own_ship_crlb_m": np.sqrt(np.nanmean(own, axis=0)) if np.isfinite(own).any() else [np.nan] * 3,
+            "own_ship_crlb_m": np.sqrt(_mean_known(own)),
             "crlb_m": np.sqrt(bound_square / located),
             "rmse_over_crlb": ratio,
             "rmse_over_crlb_sd": spread,
             "node_over_crlb": np.sqrt(ratio_square / located),
             "flipped": astray / located,
         }
+
+
+def _mean_known(rows: list[Any]) -> Array:
+    """Mean over rows, of what is finite."""
+    values = np.array(rows, float)
+    known = np.isfinite(values)
+    return np.where(known, values, 0.0).sum(axis=0) / known.sum(axis=0)
