@@ -54,7 +54,7 @@ class Record:
 
 def prepare(size: Size) -> Material:
     """Fly the scenario, or read its flight from the cache, and draw run 0."""
-    scenario = replaced(load_scenario("gao2009")[1], dict(size.changes))
+    scenario = replaced(load_scenario("stated_fixes")[1], dict(size.changes))
     flight, _ = cached_flight(scenario.flight)
     window = alignment_window(scenario, flight)
     return Material(scenario, flight, window, simulate(scenario, window, 0, SEED))

@@ -13,7 +13,7 @@ import pytest
 # they call from another module would go unnoticed: keep them by the content of all of them.
 _sources = sorted(
     path
-    for room in ("sins", "align")
+    for room in ("sins", "network", "network.localization", "align")
     for folder in find_spec(f"fleetalign.{room}").submodule_search_locations
     for path in Path(folder).glob("*.py")
 )
@@ -43,8 +43,14 @@ def flight_cache(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def gao2009():
-    """The bundled scenario."""
+    """The default scenario, on fixes of the fleet's network."""
     return load_scenario("gao2009")[1]
+
+
+@pytest.fixture(scope="session")
+def stated():
+    """The same flight and sensors, on fixes of stated noise and delay."""
+    return load_scenario("stated_fixes")[1]
 
 
 @pytest.fixture(scope="session")

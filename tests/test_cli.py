@@ -133,8 +133,8 @@ def test_runs_without_a_fix_are_named_and_leave_all_files(command, tmp_path, fix
         assert line[-1] == str(row["failed_runs"])
 
 
-def test_run_that_breaks_leaves_no_estimates(tmp_path, gao2009, window):
-    done = simulate(gao2009, window, 0, seed=1)
+def test_run_that_breaks_leaves_no_estimates(tmp_path, stated, window):
+    done = simulate(stated, window, 0, seed=1)
     path = tmp_path / "estimates.parquet"
 
     def broken_off(error):
@@ -154,8 +154,8 @@ def test_run_that_breaks_leaves_no_estimates(tmp_path, gao2009, window):
     assert set(pq.read_table(path)["run"].to_pylist()) == {0}
 
 
-def test_standard_deviations_hold_the_vibration(tmp_path, gao2009, window):
-    done = simulate(gao2009, window, 0, seed=1)
+def test_standard_deviations_hold_the_vibration(tmp_path, stated, window):
+    done = simulate(stated, window, 0, seed=1)
     path = tmp_path / "estimates.parquet"
     with outputs.estimates_writer(path, window, 3.0) as estimates:
         estimates.add(done)

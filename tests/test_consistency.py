@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from fleetalign.align.consistency import chi_square_quantile, mean_band, nees
-from fleetalign.cosim.run import bound_of, no_bound_because, simulate
+from fleetalign.cosim.run import bound_of, fixes_of, no_bound_because, simulate
 from fleetalign.cosim.scenario import replaced
 from fleetalign.sins import attitude
 from scipy.stats import chi2
@@ -32,20 +32,20 @@ def consistency(scenario, window, name="ekf_stamped"):
         {"fixes.loss_probability": 0.8},
     ],
 )
-def test_stamped_filter_is_consistent_elsewhere(gao2009, window, changes):
-    mean_nees, mean_nis = consistency(replaced(gao2009, {**ONLY_STAMPED, **changes}), window)
+def test_stamped_filter_is_consistent_elsewhere(stated, window, changes):
+    mean_nees, mean_nis = consistency(replaced(stated, {**ONLY_STAMPED, **changes}), window)
     low, high = mean_band(3, RUNS, 0.999)
     assert low < mean_nees < high
     assert mean_nis == pytest.approx(6, abs=0.3)
 
 
-def test_l2linf_told_the_spread_of_the_delay_is_consistent(gao2009, window):
+def test_l2linf_told_the_spread_of_the_delay_is_consistent(stated, window):
     changes = {
         "alignment.filters": ["l2linf"],
         "fixes.delay": {"kind": "uniform", "min_ms": 0.0, "max_ms": 100.0},
         "alignment.settings.delay_sd_ms": 100 / np.sqrt(12),
     }
-    mean_nees, mean_nis = consistency(replaced(gao2009, changes), window, "l2linf")
+    mean_nees, mean_nis = consistency(replaced(stated, changes), window, "l2linf")
     low, high = mean_band(3, RUNS, 0.999)
     assert low < mean_nees < high
     assert mean_nis == pytest.approx(6, abs=0.3)
@@ -59,9 +59,12 @@ def test_chi_square_quantile_is_scipys():
         )
 
 
-def test_losses_raise_the_bound(gao2009, window):
-    full = bound_of(gao2009, window)
-    lossy = bound_of(replaced(gao2009, {"fixes.loss_probability": 0.9}), window)
+def test_losses_raise_the_bound(stated, window):
+    lossy = replaced(stated, {"fixes.loss_probability": 0.9})
+    full, lossy = (
+        bound_of(scenario, window, [fixes_of(scenario, window, i, 1)[0] for i in range(20)])
+        for scenario in (stated, lossy)
+    )
     assert (np.trace(lossy.misalignment_cov[-1]) > 2 * np.trace(full.misalignment_cov[-1])).all()
 
 
@@ -75,10 +78,10 @@ def test_losses_raise_the_bound(gao2009, window):
         ({"imu.bias_draw": "random_sign"}, "not Gaussian"),
     ],
 )
-def test_there_is_no_bound_where_the_filter_does_not_model_what_happens(gao2009, window, changes, reason):
-    scenario = replaced(gao2009, changes)
+def test_there_is_no_bound_where_the_filter_does_not_model_what_happens(stated, window, changes, reason):
+    scenario = replaced(stated, changes)
     told = no_bound_because(scenario)
-    bound = bound_of(scenario, window)
+    bound = bound_of(scenario, window, [fixes_of(scenario, window, 0, 1)[0]])
     if reason is None:
         assert told is None
         assert np.isfinite(bound.sd[-1]).all()

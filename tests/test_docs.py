@@ -12,7 +12,7 @@ import pytest
 from fleetalign.aircraft.airframe import airframe_names
 from fleetalign.align.filters import FILTERS
 from fleetalign.cosim import cli, outputs, score
-from fleetalign.cosim.run import bound_of, simulate_all
+from fleetalign.cosim.run import bound_of, fixes_of, simulate_all
 from fleetalign.cosim.scenario import UNITS, load_scenario
 from fleetalign.sins import attitude, earth, error_model
 from fleetalign.sins.error_model import ACCEL, GYRO, MISALIGN
@@ -122,12 +122,13 @@ def test_python_examples_run(page, flight_cache, capsys):
         assert all(name in printed for name in FILTERS)
 
 
-def test_summary_has_the_keys_that_the_readme_names(gao2009, flight, window):
-    scorer = score.Scorer(window, gao2009.alignment.filters)
-    for run in simulate_all(gao2009, window, 2, seed=7):
+def test_summary_has_the_keys_that_the_readme_names(stated, flight, window):
+    scorer = score.Scorer(window, stated.alignment.filters)
+    for run in simulate_all(stated, window, 2, seed=7):
         scorer.add(run)
-    bound = score.standard_deviations(window, bound_of(gao2009, window), gao2009.imu.vibration_mps)
-    summary = outputs.summarize("gao2009", gao2009, 7, flight, scorer.scores(), bound)
+    fixes = [fixes_of(stated, window, 0, 7)[0]]
+    bound = score.standard_deviations(window, bound_of(stated, window, fixes), stated.imu.vibration_mps)
+    summary = outputs.summarize("gao2009", stated, 7, flight, scorer.scores(), bound)
     told = set(re.findall(r"`(\w+)`", README.split("`summary.json` has")[1].split("\n## ")[0]))
     one = next(iter(summary["filters"].values()))
     keys = {*summary} - {"bound", "paper"} | set(summary["flight"]) | set(one) | {"ci95"}

@@ -271,8 +271,8 @@ def test_ignored_delay_makes_the_error_that_theory_says(record, window):
     assert np.mean(np.sum(error * track, axis=1)[200:]) == pytest.approx(0.0, abs=2.0)
 
 
-def test_mean_delay_is_found(window, gao2009):
-    constant = replaced(gao2009, {"fixes.delay": {"kind": "constant", "delay_ms": 50.0}})
+def test_mean_delay_is_found(window, stated):
+    constant = replaced(stated, {"fixes.delay": {"kind": "constant", "delay_ms": 50.0}})
     for run_id in range(3):
         estimate = simulate(constant, window, run_id, seed=2).estimates["l2linf"]
         deviation = (estimate.delay[-1] - 0.05) / estimate.sd[-1, 15]

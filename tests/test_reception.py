@@ -14,9 +14,9 @@ from fleetalign.sins import attitude, earth
 
 
 @pytest.fixture(scope="module")
-def alone(gao2009):
+def alone(stated):
     """The scenario with one filter, so that simulating a run is cheap."""
-    return replaced(gao2009, {"alignment.filters": ["ekf_stamped"]})
+    return replaced(stated, {"alignment.filters": ["ekf_stamped"]})
 
 
 def again(scenario, window, run, delay=DelayModel.STAMPED, imu=None, fixes=None, q_nb=None, **settings):
@@ -89,8 +89,8 @@ def test_attitude_is_carried_to_a_late_first_fix(alone, window):
         assert final_nees(estimate, window) < chi_square_quantile(0.9999, 3)
 
 
-def test_stamps_with_a_known_error_are_fused_consistently(gao2009, window):
-    jittery = replaced(gao2009, {"alignment.filters": ["ekf_stamped"], "fixes.stamp_sd_ms": 30.0})
+def test_stamps_with_a_known_error_are_fused_consistently(stated, window):
+    jittery = replaced(stated, {"alignment.filters": ["ekf_stamped"], "fixes.stamp_sd_ms": 30.0})
     told, ignorant = [], []
     for run_id in range(8):
         run = simulate(jittery, window, run_id, seed=7)
@@ -150,8 +150,8 @@ def test_the_date_line_changes_nothing(alone, window):
     np.testing.assert_allclose(there.q_nb[-1], here.q_nb[-1], atol=1e-9)
 
 
-def test_the_first_fix_decides_however_bad_it_is(gao2009, window):
-    noisy = replaced(gao2009, {"fixes.position_sd_m": 1e5, "fixes.velocity_sd_mps": 1e3})
+def test_the_first_fix_decides_however_bad_it_is(stated, window):
+    noisy = replaced(stated, {"fixes.position_sd_m": 1e5, "fixes.velocity_sd_mps": 1e3})
     run = simulate(noisy, window, 3, seed=7)
     for estimate in run.estimates.values():
         row = np.searchsorted(window.time, estimate.time[20] - 1e-6)

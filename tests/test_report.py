@@ -180,10 +180,10 @@ def test_scenario_text_is_the_scenario():
     assert Scenario.model_validate(tomllib.loads(to_toml(awkward.model_dump(mode="json")))) == awkward
 
 
-def test_replayed_fixes_have_neither_intervals_nor_bands(tmp_path, gao2009, window):
-    fixes = draw_fixes(window, 500, 501, gao2009.fixes, np.random.default_rng(1))
+def test_replayed_fixes_have_neither_intervals_nor_bands(tmp_path, stated, window):
+    fixes = draw_fixes(window, 500, 501, stated.fixes, np.random.default_rng(1))
     write_fixes(fixes, tmp_path / "fixes.csv")
-    scenario = replaced(gao2009, {"fixes": {"kind": "replay", "file": str(tmp_path / "fixes.csv")}})
+    scenario = replaced(stated, {"fixes": {"kind": "replay", "file": str(tmp_path / "fixes.csv")}})
     html, summary = write(
         tmp_path / "report.html", scenario, {"ekf": a_score("ekf", np.random.default_rng(3), 1.0, 0.0)}
     )

@@ -12,7 +12,7 @@ import pytest
 from fleetalign.align.consistency import mean_band, nees
 from fleetalign.align.estimate import RunOutcome
 from fleetalign.align.filters import DelayModel, align
-from fleetalign.cosim.run import alignment_window, bound_of, generator, simulate, simulate_all
+from fleetalign.cosim.run import alignment_window, bound_of, fixes_of, generator, simulate, simulate_all
 from fleetalign.cosim.scenario import ScenarioError, replaced
 from fleetalign.cosim.score import COLUMNS, Scorer, standard_deviations
 from fleetalign.sins import attitude
@@ -35,8 +35,8 @@ def scored(scenario, window, runs=RUNS, seed=7):
 
 
 @pytest.fixture(scope="module")
-def scores(gao2009, window):
-    return scored(gao2009, window)
+def scores(stated, window):
+    return scored(stated, window)
 
 
 def level(score):
@@ -88,16 +88,17 @@ def test_ekf_is_overconfident(scores):
     assert scores["ekf"].mean_nis > 6.5
 
 
-def test_stamped_filter_stands_on_the_bound(scores, gao2009, window):
-    bound = standard_deviations(window, bound_of(gao2009, window), gao2009.imu.vibration_mps)[-1]
+def test_stamped_filter_stands_on_the_bound(scores, stated, window):
+    fixes = [fixes_of(stated, window, 0, 7)[0]]
+    bound = standard_deviations(window, bound_of(stated, window, fixes), stated.imu.vibration_mps)[-1]
     # 100 runs know an RMS to 7 %: three standard deviations.
     np.testing.assert_allclose(scores["ekf_stamped"].rms[-1] / bound, 1.0, atol=0.21)
 
 
 @pytest.mark.parametrize("kind", list(DELAYS))
-def test_order_of_the_filters_holds_for_other_delays(gao2009, window, kind):
+def test_order_of_the_filters_holds_for_other_delays(stated, window, kind):
     """The l2linf filter is told nothing of which delay it gets."""
-    by_name = scored(replaced(gao2009, {"fixes.delay": DELAYS[kind]}), window)
+    by_name = scored(replaced(stated, {"fixes.delay": DELAYS[kind]}), window)
     stamped, robust, ignorant = (level(by_name[name]) for name in ("ekf_stamped", "l2linf", "ekf"))
     assert robust < 1.15 * stamped
     assert velocity(by_name["l2linf"]) < 1.2 * velocity(by_name["ekf_stamped"])
@@ -108,9 +109,9 @@ def test_order_of_the_filters_holds_for_other_delays(gao2009, window, kind):
     assert not any(score.failures for score in by_name.values())
 
 
-def test_a_filter_told_wrong_noise_leaves_the_band(gao2009, window):
+def test_a_filter_told_wrong_noise_leaves_the_band(stated, window):
     """NEES must be able to fail: fixes twice as noisy in velocity as their covariance says."""
-    scenario = replaced(gao2009, {"alignment.filters": ["ekf_stamped"]})
+    scenario = replaced(stated, {"alignment.filters": ["ekf_stamped"]})
     errors, covariances = [], []
     for run_id in range(60):
         run = simulate(scenario, window, run_id, seed=7)
@@ -125,9 +126,9 @@ def test_a_filter_told_wrong_noise_leaves_the_band(gao2009, window):
     assert np.mean(nees(np.array(errors), np.array(covariances))) > mean_band(3, 60)[1]
 
 
-def test_a_run_depends_on_its_id_alone(gao2009, window):
-    in_company = {run.run_id: run for run in simulate_all(gao2009, window, 9, seed=3)}
-    alone = simulate(gao2009, window, 5, seed=3)
+def test_a_run_depends_on_its_id_alone(stated, window):
+    in_company = {run.run_id: run for run in simulate_all(stated, window, 9, seed=3)}
+    alone = simulate(stated, window, 5, seed=3)
     for name, estimate in alone.estimates.items():
         other = in_company[5].estimates[name]
         np.testing.assert_array_equal(estimate.q_nb, other.q_nb)
@@ -136,9 +137,9 @@ def test_a_run_depends_on_its_id_alone(gao2009, window):
     assert not np.array_equal(alone.imu.dv_b, in_company[4].imu.dv_b)
 
 
-def test_filters_see_the_same_data_whatever_others_run(gao2009, window):
-    single = replaced(gao2009, {"alignment.filters": ["l2linf"]})
-    a = simulate(gao2009, window, 2, seed=3).estimates["l2linf"]
+def test_filters_see_the_same_data_whatever_others_run(stated, window):
+    single = replaced(stated, {"alignment.filters": ["l2linf"]})
+    a = simulate(stated, window, 2, seed=3).estimates["l2linf"]
     b = simulate(single, window, 2, seed=3).estimates["l2linf"]
     np.testing.assert_array_equal(a.q_nb, b.q_nb)
 
@@ -149,9 +150,9 @@ def test_sources_of_randomness_are_independent_of_each_other():
     assert generator(1, 0, "imu").random() == draws[0]
 
 
-def test_failed_runs_are_named(gao2009, window):
+def test_failed_runs_are_named(stated, window):
     scorer = Scorer(window, ("ekf",))
-    good, lost = (simulate(gao2009, window, i, seed=1) for i in range(2))
+    good, lost = (simulate(stated, window, i, seed=1) for i in range(2))
     estimate = good.estimates["ekf"]
     turned = replace(estimate, q_nb=np.roll(estimate.q_nb, 1, axis=1))
     silent = replace(
@@ -162,9 +163,9 @@ def test_failed_runs_are_named(gao2009, window):
     assert scorer.scores()["ekf"].failures == {0: "diverged", 1: "no_fix"}
 
 
-def test_navigator_uses_the_gravity_of_the_scenario(gao2009, window):
+def test_navigator_uses_the_gravity_of_the_scenario(stated, window):
     def attitude_with(gravity):
-        scenario = replaced(gao2009, {"alignment.filters": ["l2linf"], "alignment.gravity": gravity})
+        scenario = replaced(stated, {"alignment.filters": ["l2linf"], "alignment.gravity": gravity})
         return simulate(scenario, window, 0, seed=1).estimates["l2linf"].q_nb
 
     flown, j2, somigliana = map(attitude_with, ("flight", "j2", "somigliana"))
@@ -172,7 +173,7 @@ def test_navigator_uses_the_gravity_of_the_scenario(gao2009, window):
     assert np.abs(somigliana - flown).max() > 1e-9
 
 
-def test_alignment_outside_the_flight_is_refused(gao2009, flight):
-    late = replaced(gao2009, {"alignment.start": "capture", "alignment.duration_s": 500})
+def test_alignment_outside_the_flight_is_refused(stated, flight):
+    late = replaced(stated, {"alignment.start": "capture", "alignment.duration_s": 500})
     with pytest.raises(ScenarioError, match="alignment"):
         alignment_window(late, flight)

@@ -126,9 +126,9 @@ def test_data_files_are_beside_the_scenario(tmp_path):
     "table", ['delay = { kind = "replay", file = "delays.csv" }', 'kind = "replay"\nfile = "fixes.csv"']
 )
 def test_digest_depends_on_what_a_file_holds_and_not_on_where_it_is(
-    tmp_path, monkeypatch, gao2009, window, table
+    tmp_path, monkeypatch, stated, window, table
 ):
-    fixes = draw_fixes(window, 500, 501, gao2009.fixes, np.random.default_rng(1))
+    fixes = draw_fixes(window, 500, 501, stated.fixes, np.random.default_rng(1))
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "delays.csv").write_text("delay_ms\n10\n30\n", "utf-8")

@@ -12,6 +12,9 @@ from numba import njit
 from ...sins._kernels import COMPILED
 from ._dense import Terms, covariance_blocks, link, minimize
 
+_MOST_MISFIT = 9.0
+"""A few ranges without line of sight are no contradiction, however long they are."""
+
 
 @njit(**COMPILED)
 def track(
@@ -106,17 +109,16 @@ def _predict(S, last, place, dt, V):
 
 @njit(**COMPILED)
 def _misfits(S, terms, misfit, residuals, neighbours):
-    """Sum of squared residuals of each node's links in standard deviations, none beyond the threshold."""
+    """Sum of squares of each node's residuals in standard deviations, of a range at most `_MOST_MISFIT`."""
     misfit[:] = 0.0
     residuals[:] = 0
     neighbours[:] = 0
-    most = terms.threshold**2
     u, q = np.zeros(S.shape[1]), np.zeros(S.shape[1])
     for m in range(len(terms.links)):
         if terms.w_range[m] == 0:
             continue
         _, _, r1, w2, r2 = link(S, terms, m, u, q)
-        size = min(terms.w_range[m] * r1 * r1, most) + min(w2 * r2 * r2, most)
+        size = min(terms.w_range[m] * r1 * r1, _MOST_MISFIT) + w2 * r2 * r2
         for end in range(2):
             i = terms.links[m, end]
             misfit[i] += size
