@@ -41,11 +41,12 @@ class InputError(ValueError):
 
 def main() -> None:
     """Entry point: turns mistakes in the input into one line each and status 2."""
+    # All cores are at work on runs of their own: more threads in each would wait. numpy reads it at import.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
     from ..aircraft.envelope import FlightError
     from .scenario import ScenarioError
 
-    # The cores are at work on runs of their own already: more threads in each would only wait.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     warnings.showwarning = lambda message, *_, **__: error_console.print(f"warning: {message}")
     try:
         status = app(standalone_mode=False)
