@@ -24,7 +24,7 @@ from .still import PROTOCOLS, Drawn, draw_still, judge, pooled
 Progress = Callable[[float, float], None]
 
 # Seconds that a piece of work takes, about: for the progress bar.
-_DRAW_S, _EQUATIONS_S, _FIGURE_2_S, _FIGURE_3_S = 0.1, 0.05, 0.7, 6.0
+_DRAW_S, _EQUATIONS_S, _FIGURE_2_S, _FIGURE_3_S = 0.3, 0.2, 1.2, 3.0
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class LocalizeStudy:
     """The instant, s on the flight's clock."""
     draws: int = 200
     seed: int = 1
-    figure_2_draws: int = 24
+    figure_2_draws: int = 16
     """Fleets for each point of Fig. 2."""
     figure_3_s: float = 500.0
     """Duration of Fig. 3, from the start of the flight."""

@@ -21,8 +21,9 @@ from .run import generator
 RANGE_SD_M = 50.0
 BARO_SD_M = 11.0
 """Of the barometric altitude that Table 2 is set beside as well."""
-NO_RANGE_RATE_MPS = 1e3
-"""Standard deviation of a range rate that says nothing."""
+NO_RANGE_RATE_MPS = 30.0
+"""Standard deviation of range rates that say nothing of positions, and just hold the velocities: at 100 m/s
+and 15 km their information on a position is a ten-thousandth of that of ranges of 50 m."""
 _BOUND_EVERY_S = 10.0
 
 
