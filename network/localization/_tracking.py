@@ -69,7 +69,7 @@ def track(
         )
         converged[k] = minimize(S, place, terms, floor, 0.0, most, tolerance, A, g)[2]
         states[k] = S
-        own_cov[k] = np.inf
+        own_cov[k] = np.nan
         if place[0] >= 0:
             own = A[N - B :, N - B :].copy()
             covariance_blocks(own, blocks[:1])
