@@ -178,7 +178,7 @@ def test_errors_have_the_covariance_that_is_stated(medium):
     found = localize_large(problem, covariance_draws=16)
     located = found.outcome == NodeOutcome.LOCATED
     error, cov = (found.x - truth)[located], found.cov[located]
-    # The ratio of means is not biased by the draws. Of 12,500 nodes seeds 1 to 6 gave 1.03 to 1.10, for errors
+    # The ratio of means is not biased by draws. Of 12,500 nodes seeds 1 to 6 gave 1.03 to 1.10, for errors
     # of the weakest are beyond linear; far off in spite of it were 0, 0, 0, 0, 1 and 4.
     ratio = np.sum(error**2) / np.sum(np.trace(cov, axis1=1, axis2=2))
     assert 0.95 < ratio < 1.15

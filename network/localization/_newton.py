@@ -13,7 +13,7 @@ from .problem import Array
 Singles = NDArray[np.float32]
 LEAST_FORCING = 1e-2
 """Of the residual that the linear system is left with."""
-LEAST_SHARE, MOST_SHARE = 1e-3, 1e6
+LEAST_SHARE, MOST_SHARE = 0.03, 1e6
 """Of the neglected curvature's bound, in the damping."""
 
 
@@ -83,8 +83,9 @@ class Newton:
         """(n, 3) m, what `solve` tried last."""
         return self._step
 
-    def own_variance(self) -> Array:
-        """(n,) m^2, sum of the variances of each node's position if its neighbours' were known."""
+    def own_variance(self, x: Array) -> Array:
+        """(n,) m^2, sum of the variances of each node's position near ``x`` if its neighbours' were known."""
+        self._linearize(x)
         rows = self._rows
         rows.each(
             _sparse.damp_and_invert, rows.fixed, self._block, self._bend, 0.0, self._damping, self._inverse

@@ -126,13 +126,14 @@ def _refine(
     suspect, wanted, steps = np.zeros(len(x), np.bool_), max(LOOSE, tolerance), 0
     solution = Solution(x, np.inf, 0, False)
     for k in range(REFITS):
+        weak = _weak(rows, newton.own_variance(solution.x))
+        rows.leave_out(weak, NodeOutcome.SINGULAR)
         solution = newton.solve(solution.x, wanted, MOST_STEPS)
         steps += solution.iterations
         progress((k + 1) / REFITS)
-        doubted, weak = misfits(rows, solution.x), _weak(rows, newton.own_variance())
-        suspect |= doubted
-        if doubted.any() or weak.any():
-            rows.leave_out(weak, NodeOutcome.SINGULAR)
+        doubted = misfits(rows, solution.x)
+        if doubted.any():
+            suspect |= doubted
             rows.leave_out(doubted, NodeOutcome.INCONSISTENT)
         elif wanted == tolerance:
             break
