@@ -7,32 +7,29 @@ late by what the network takes to carry it.
 """
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple, Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.random import Generator
 from pydantic import Field, model_validator
 
-from ..sins import earth
 from ..sins.settings import Settings
 from ..sins.units import MILLISECOND
 from .fixes import Fixes, FixesError
 from .fleet import OWN_SHIP, CentrePath, Fleet, FleetSettings, draw_formation
 from .localization.chain import LocalizationSettings
 from .localization.problem import NodeOutcome
-from .localization.tracking import Epochs, Tracker
 from .protocol import ProtocolError, ProtocolSettings, carry, solvers
 from .radio import Radio, RadioSettings
-from .record import Array, FixFate, Integers, NetworkRecord
-from .topology import Topology, draw_topology
+from .record import FixFate, Integers, NetworkRecord
+from .survey import survey
+from .topology import draw_topology
 from .traffic import PacketFate, periodic_traffic
 
 WARM_UP_S = 2.0
 """Time for which the network carries packets before the first epoch, so that its queues are as they are."""
 AFTER_S = 1.0
 """Time that packets of the last epochs have to arrive."""
-_CHUNK = 50
-"""Epochs at a time: nodes are started between chunks, and all pairs at all epochs would need much memory."""
 
 
 class FleetNetwork(Settings):
@@ -95,7 +92,7 @@ def fly_network(
     update_s = settings.protocol.route_update_s
     tables = np.arange(start_s - warm_up_s, end_s + 1e-9, update_s)
     topology = draw_topology(fleet, radio, tables, settings.protocol, heads_rng)
-    found = _localize(fleet, radio, topology, t, settings)
+    found = survey(fleet, radio, topology, t, settings.fleet, settings.localization)
 
     solver = solvers(formation.solver_key)
     early = int(warm_up_s * settings.rate_hz)
@@ -153,83 +150,6 @@ def fly_network(
         slots=deliveries.slots,
     )
     return fixes.sorted_by_arrival(), record
-
-
-class _Found(NamedTuple):
-    """What localisation gives at k epochs; the fields of `NetworkRecord` and of `Fixes` are as theirs."""
-
-    lla: Array
-    error_n: Array
-    sd_n: Array
-    velocity_error_n: Array
-    outcome: Integers
-    own_lla: Array
-    own_v_n: Array
-    own_cov: Array
-    clock_offset: Array
-    """(k, n) s."""
-
-
-def _localize(fleet: Fleet, radio: Radio, topology: Topology, t: Array, settings: FleetNetwork) -> _Found:
-    """Observe and locate all nodes at all epochs."""
-    tracker = Tracker(
-        fleet.formation.anchor,
-        settings.localization,
-        settings.fleet.anchor_position_sd_m,
-        settings.fleet.anchor_velocity_sd_mps,
-        settings.radio.assumed_altitude_sd_m,
-        settings.radio.clock if settings.radio.ranging == "one_way" else None,
-    )
-    chunks = [
-        _localize_chunk(fleet, radio, tracker, topology, t[first : first + _CHUNK])
-        for first in range(0, len(t), _CHUNK)
-    ]
-    return _Found(*(np.concatenate(parts) for parts in zip(*chunks, strict=True)))
-
-
-def _localize_chunk(fleet: Fleet, radio: Radio, tracker: Tracker, topology: Topology, t: Array) -> _Found:
-    x_e, v_e = fleet.at(t)
-    lla = earth.lla_from_ecef(x_e)
-    seen = radio.observe(t, x_e, v_e, lla[..., 2])
-    i, j = seen.pairs.T
-    ranging = topology.ranging[topology.at(t)][:, i, j]
-
-    centre = fleet.centre(t)
-    centre_e, C_en = earth.ecef_from_lla(centre), earth.C_en(centre[:, 0], centre[:, 1])
-    believed_x, believed_v = fleet.believed(t, x_e, v_e)
-    R_N, R_E = earth.radii_of_curvature(centre[0, 0])
-    track = tracker.advance(
-        Epochs(
-            t=t,
-            pairs=seen.pairs,
-            ranges=seen.ranges,
-            range_sd=seen.range_sd,
-            rates=seen.range_rates,
-            rate_sd=seen.range_rate_sd,
-            heard=seen.heard & ranging,
-            belief_x=(believed_x - centre_e[:, None]) @ C_en,
-            belief_v=believed_v @ C_en,
-            height=None if seen.altitude is None else seen.altitude - centre[:, 2:],
-            curvature=float(1 / np.sqrt(R_N * R_E)),
-        )
-    )
-    own_e = centre_e + np.einsum("kij,kj->ki", C_en, track.x[:, OWN_SHIP])
-    own_lla = earth.lla_from_ecef(own_e)
-    # From the axes of the fleet's centre to those of the own ship.
-    turn = earth.C_en(own_lla[:, 0], own_lla[:, 1]).transpose(0, 2, 1) @ C_en
-    both = np.zeros((len(t), 6, 6))
-    both[:, :3, :3] = both[:, 3:, 3:] = turn
-    return _Found(
-        lla=lla,
-        error_n=track.x - (x_e - centre_e[:, None]) @ C_en,
-        sd_n=np.broadcast_to(track.sd[:, :3], track.x.shape),
-        velocity_error_n=track.v - v_e @ C_en,
-        outcome=track.outcome,
-        own_lla=own_lla,
-        own_v_n=np.einsum("kij,kj->ki", turn, track.v[:, OWN_SHIP]),
-        own_cov=both @ track.own_cov @ both.transpose(0, 2, 1),
-        clock_offset=seen.clock_offset,
-    )
 
 
 _UNMADE = {
