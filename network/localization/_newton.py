@@ -11,8 +11,9 @@ from ._rows import Rows
 from .problem import Array
 
 Singles = NDArray[np.float32]
-LEAST_FORCING = 1e-2
-"""Of the residual that the linear system is left with."""
+STEP_CG, COVARIANCE_CG = (0.1, 15), (0.01, 300)
+"""Share of the residual that the linear system is left with, and iterations at most. In a step more of them
+would go to a few weak nodes, which the next steps move on."""
 LEAST_SHARE, MOST_SHARE = 0.03, 1e6
 """Of the neglected curvature's bound, in the damping."""
 
@@ -52,9 +53,9 @@ class Newton:
         true for.
         """
         x, cost = x.copy(), self._linearize(x)
-        share, forcing = 0.3, 0.1
+        share = 0.3
         for k in range(1, iterations + 1):
-            self._cg(-self._gradient, share, forcing)
+            self._cg(-self._gradient, share, *STEP_CG)
             trial = x + self._step
             promised = -0.5 * float(np.vdot(self._gradient, self._step))
             new = self._linearize(trial)
@@ -64,7 +65,6 @@ class Newton:
                     return Solution(x, cost, k, True)
                 if gain > 0.5 * promised:
                     share = max(share / 5, LEAST_SHARE)
-                forcing = max(0.3 * forcing, LEAST_FORCING)
             elif new <= cost * (1 + 1e-12) and promised <= tolerance * cost:
                 # Rounding of the cost decides no more.
                 self._linearize(x)
@@ -103,7 +103,7 @@ class Newton:
         right = np.zeros_like(self._gradient)
         for draw in range(draws):
             rows.each(_sparse.probe, rows.start, rows.other, rows.fixed, self._jacobian, draw, right)
-            self._cg(right, 0.0, 1e-2)
+            self._cg(right, 0.0, *COVARIANCE_CG)
             rows.each(_sparse.add_outer, self._step, 1 / draws, cov)
         return cov[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
 
@@ -120,7 +120,7 @@ class Newton:
             self._bend,
         )
 
-    def _cg(self, right: Array, share: float, forcing: float) -> None:
+    def _cg(self, right: Array, share: float, forcing: float, most: int) -> None:
         """Solve the damped normal equations into ``_step``, to a ``forcing`` share of the residual."""
         rows, fixed = self._rows, self._rows.fixed
         system = (rows.start, rows.other, fixed, self._jacobian, self._damping, self._p, self._q)
@@ -133,13 +133,9 @@ class Newton:
         self._r[:] = right
         rz = first = rows.total(_sparse.cg_residual, fixed, np.float32(0), *vectors)
         rows.each(_sparse.cg_direction, np.float32(0), self._z, self._p)
-        for _ in range(MOST_CG):
+        for _ in range(most):
             if rz <= forcing * forcing * first:
                 break
             alpha = rz / rows.total(_sparse.normal_product, *system)
             before, rz = rz, rows.total(_sparse.cg_residual, fixed, np.float32(alpha), *vectors)
             rows.each(_sparse.cg_direction, np.float32(rz / before), self._z, self._p)
-
-
-MOST_CG = 300
-"""Iterations of conjugate gradients a step at most."""

@@ -124,10 +124,9 @@ def _refine(
 ) -> tuple[Solution, Booleans]:
     """The least cost near ``x`` without nodes that ranges do not hold or fit; those that they do not fit."""
     suspect, wanted, steps = np.zeros(len(x), np.bool_), max(LOOSE, tolerance), 0
+    rows.leave_out(_weak(rows, newton.own_variance(x)), NodeOutcome.SINGULAR)
     solution = Solution(x, np.inf, 0, False)
     for k in range(REFITS):
-        weak = _weak(rows, newton.own_variance(solution.x))
-        rows.leave_out(weak, NodeOutcome.SINGULAR)
         solution = newton.solve(solution.x, wanted, MOST_STEPS)
         steps += solution.iterations
         progress((k + 1) / REFITS)
