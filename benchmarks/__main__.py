@@ -9,11 +9,11 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from . import filters, flight, localization, mechanization, peers, runs
+from . import filters, flight, localization, mechanization, network, peers, runs
 from .harness import FULL, QUICK, Harness, Row, load, markdown
 from .material import prepare
 
-SUBJECTS = (mechanization, filters, flight, runs, localization, peers)
+SUBJECTS = (mechanization, filters, flight, runs, network, localization, peers)
 
 
 def main(arguments: list[str]) -> int:

@@ -30,6 +30,8 @@ class Size:
     """Alignment runs of each repetition that compares numbers of cores."""
     nodes: int
     """Nodes of the largest network to locate."""
+    network_s: float
+    """Time of the fleet's network, at most."""
     changes: Mapping[str, object]
     """What differs from the bundled scenario."""
 
@@ -41,6 +43,7 @@ FULL = Size(
     runs=1_000,
     scaling_runs=100,
     nodes=1_000_000,
+    network_s=560.0,
     changes={},
 )
 QUICK = Size(
@@ -50,6 +53,7 @@ QUICK = Size(
     runs=8,
     scaling_runs=4,
     nodes=5_000,
+    network_s=5.0,
     changes={
         "flight.altitude_m": 200.0,
         "flight.fdm_rate_hz": 100,
