@@ -155,7 +155,7 @@ def _network(record: NetworkRecord, axis: rrb.TimeAxis) -> rrb.Horizontal:
         origin="network",
         name=f"Fleet, heights times {FLEET_HEIGHT_EXAGGERATION:g}, errors times {ERROR_EXAGGERATION:g}",
         eye_controls=rrb.EyeControls3D(
-            position=np.array([-1.6 * reach, 0.5 * reach, -1.2 * reach - height]),
+            position=np.array([-1.9 * reach, 0.6 * reach, -1.3 * reach - height]),
             look_target=np.array([0.0, 0.0, -height]),
             eye_up=np.array([0.0, 0.0, -1.0]),
         ),
@@ -197,10 +197,13 @@ def _axis(flight: Flight) -> rrb.TimeAxis:
 
 
 def _span(errors: dict[str, Errors], channel: str) -> tuple[float, float]:
-    """Limits for what is left after the first third, during which the coarse errors would hide it."""
+    """Limits for what is left after the first third, during which the coarse errors would hide it.
+
+    By medians over time: a filter that starts anew would hide it again.
+    """
     reach = 1e-9
     for channels in errors.values():
         time, error, sd = channels[channel]
         settled = time >= time[0] + (time[-1] - time[0]) / 3
-        reach = max(reach, np.max(np.abs(error[settled])), np.max(3 * sd[settled]))
-    return -1.2 * reach, 1.2 * reach
+        reach = max(reach, 5 * np.median(np.abs(error[settled])), 6 * np.median(sd[settled]))
+    return -reach, reach

@@ -17,6 +17,7 @@ from ..network.record import NetworkRecord
 from .network_scenery import fleet_ned
 from .parallel import in_order
 from .run import generator
+from .still import mean_known
 
 RANGE_SD_M = 50.0
 BARO_SD_M = 11.0
@@ -80,12 +81,12 @@ def figure_3_of(records: dict[str, NetworkRecord], anchor_sd: float) -> Figure3:
     """The curves of `figure_3`'s records; ``anchor_sd`` m, for the bound."""
     first = next(iter(records.values()))
     bounds, ranges = zip(*_bounds(first, anchor_sd), strict=True)
-    bound, with_baro = np.sqrt(np.nanmean(bounds, axis=0))
+    bound, with_baro = np.sqrt(mean_known(bounds))
     return Figure3(
         time=first.time - first.time[0],
         error={name: _enu(record.error_n[:, OWN_SHIP]) for name, record in records.items()},
         fleet_rmse={name: _enu(_fleet_rmse(record), up=1.0) for name, record in records.items()},
-        range=float(np.nanmean(ranges)),
+        range=float(mean_known(ranges)),
         bound=bound,
         bound_with_baro=with_baro,
     )
@@ -127,11 +128,11 @@ def table_2(figure: Figure3) -> dict[str, dict[str, list[float]]]:
     """
     rows = {}
     for name, error in figure.error.items():
-        size = np.nanmean(np.abs(error), axis=0)
+        size = mean_known(np.abs(error))
         rows[name] = {
             "relative": list(size / figure.range),
             "mean_size_m": list(size),
-            "size_of_mean_m": list(np.abs(np.nanmean(error, axis=0))),
-            "rmse_m": list(np.sqrt(np.nanmean(error**2, axis=0))),
+            "size_of_mean_m": list(np.abs(mean_known(error))),
+            "rmse_m": list(np.sqrt(mean_known(error**2))),
         }
     return rows

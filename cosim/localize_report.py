@@ -181,7 +181,7 @@ def localize_tables(title: str, summary: dict[str, Any]) -> list[Table]:
         **look,
     )
     methods.add_column("", no_wrap=True)
-    for heading in ("RMSE / CRLB", "node by node", "covered"):
+    for heading in ("RMSE / CRLB", "by node", "covered"):
         methods.add_column(heading, justify="right", no_wrap=True)
     for method in e["methods"]:
         ratio = f"{number(method['rmse_over_crlb'], 3)} ± {number(method['rmse_over_crlb_sd'], 3)}"

@@ -7,6 +7,7 @@ import numpy as np
 from ..network.record import Array
 from .localize_flight import BARO_SD_M, RANGE_SD_M, Figure3, table_2
 from .localize_paper import RADII_M, RANGING_ERRORS, Figure2
+from .pages import number
 
 FULL = 0.995
 """Coverage that counts as full."""
@@ -75,7 +76,7 @@ def figure_2_verdicts(figure: Figure2) -> list[Verdict]:
             f"ratio within {100 * RATIO_MARGIN:g} % of 4, at any radius",
             any(fourfold),
             f"LEACH's over DMDG's is {_by_radius(ratio, '{:.1f}')}.{_fits(fourfold)} In the mean over ranging"
-            f" errors it is {_by_radius(_mean_ratio(figure), '{:.1f}')}: it falls as they grow. LEACH ranges"
+            f" errors it is {_by_radius(_mean_ratio(figure), '{:.1f}')}. LEACH ranges"
             " between members and heads alone.",
         ),
         Verdict(
@@ -110,8 +111,9 @@ def figure_3_verdicts(figure: Figure3) -> list[Verdict]:
         }
         bound, bound_high = figure.bound[axis], figure.bound_with_baro[axis]
         why = (
-            f"Ranges alone give {alone[axis]:.1f} m (bound of one instant {bound:.1f} m), with an altitude of"
-            f" {BARO_SD_M:g} m {high[axis]:.1f} m (bound {bound_high:.1f} m)."
+            f"Ranges alone give {number(alone[axis], 1)} m (bound of one instant {number(bound, 1)} m),"
+            f" with an altitude of {BARO_SD_M:g} m {number(high[axis], 1)} m"
+            f" (bound {number(bound_high, 1)} m)."
         )
         if value < bound * (1 - RMSE_MARGIN):
             why += (
@@ -125,8 +127,7 @@ def figure_3_verdicts(figure: Figure3) -> list[Verdict]:
                 f"an RMSE in {name} of {value:g} m",
                 f"within {100 * RMSE_MARGIN:g} % of it by ranges alone, without an altitude",
                 fits["ranges alone"],
-                why
-                + (" With the altitude it fits." if fits["with an altitude"] > fits["ranges alone"] else ""),
+                why,
             )
         )
     shape = [rmse / size for rmse, size in zip(printed, TABLE_2["absolute_m"], strict=True)]
@@ -140,10 +141,10 @@ def figure_3_verdicts(figure: Figure3) -> list[Verdict]:
             "absolute errors of 4.0, 6.7 and 4.2 m beside these RMSE",
             "RMSE over mean size within 15 % of a normal error's, 1.25",
             all(abs(s / GAUSSIAN - 1) <= 0.15 for s in shape),
-            f"RMSE over absolute error is {told} there and {', '.join(f'{s:.2f}' for s in ours)} here:"
+            f"RMSE over absolute error is {told} there and {', '.join(number(s, 2) for s in ours)} here:"
             " theirs is no mean size of a normal error. The relative errors imply lengths of"
             f" {', '.join(f'{x:.1f}' for x in lengths)} km, ours are over the mean link of"
-            f" {figure.range / 1000:.1f} km.",
+            f" {number(figure.range / 1000, 1)} km.",
         )
     )
     return verdicts

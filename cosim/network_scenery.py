@@ -12,8 +12,8 @@ from .palette import (
     AIRCRAFT,
     ANCHOR,
     CLUSTER_HEAD,
+    FAINT,
     FATE_COLORS,
-    LINK,
     NODE,
     UNLOCATED,
     rgb,
@@ -104,8 +104,8 @@ def _draw_links(columns: Columns, time: Array, ned: Array, linked: Booleans) -> 
     others = np.tril(linked)
     others[:, :, 0] = False
     for name, pairs, color, pixels in (
-        ("own", own, (*rgb(AIRCRAFT), 255), 1.2),
-        ("others", others, (*rgb(LINK), 70), 0.5),
+        ("own", own, rgb(AIRCRAFT), 1.2),
+        ("others", others, rgb(FAINT), 0.5),
     ):
         row, i, j = np.nonzero(pairs)
         strips = np.stack([ned[row, i], ned[row, j]], axis=1).astype(np.float32)

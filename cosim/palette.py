@@ -30,6 +30,8 @@ NODE = "#3D8FD1"
 ANCHOR = "#009E73"
 CLUSTER_HEAD = "#D55E00"
 LINK = "#8C8C8C"
+FAINT = "#3C3C3C"
+"""On black: links of which there are many."""
 UNLOCATED = "#CC79A7"
 """A node without an estimate."""
 FATE_COLORS = {

@@ -1,6 +1,7 @@
 """The report of a scenario's runs: one HTML file that needs nothing else."""
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -172,10 +173,15 @@ def to_toml(content: Mapping[str, Any]) -> str:
 
 def _toml_lines(table: Mapping[str, Any], where: tuple[str, ...]) -> list[str]:
     plain = {key: value for key, value in table.items() if value is not None and not isinstance(value, dict)}
-    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in plain.items()]
+    lines = [f"{_key(key)} = {json.dumps(value, ensure_ascii=False)}" for key, value in plain.items()]
     if where and lines:
-        lines = ["", f"[{'.'.join(where)}]", *lines]
+        lines = ["", f"[{'.'.join(map(_key, where))}]", *lines]
     for key, value in table.items():
         if isinstance(value, dict):
             lines += _toml_lines(value, (*where, key))
     return lines
+
+
+def _key(key: str) -> str:
+    """A key, in quotes where its letters ask for them."""
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key, ensure_ascii=False)

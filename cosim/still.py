@@ -1,6 +1,6 @@
 """A fleet at one instant, and what can be made of its ranges: the draws of `localize`."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -149,9 +149,9 @@ def pooled(draws: Iterable[Drawn]) -> dict[str, Any]:
             "coverage": located / blind,
             "localizable": localizable / blind,
             "position_error_m": size / located,
-            "position_error_over_range": size / located / _mean_known(range_m),
+            "position_error_over_range": size / located / mean_known(range_m),
             "position_rmse_m": np.sqrt(square / located),
-            "own_ship_crlb_m": np.sqrt(_mean_known(own)),
+            "own_ship_crlb_m": np.sqrt(mean_known(own)),
             "crlb_m": np.sqrt(bound_square / located),
             "rmse_over_crlb": ratio,
             "rmse_over_crlb_sd": spread,
@@ -160,8 +160,9 @@ def pooled(draws: Iterable[Drawn]) -> dict[str, Any]:
         }
 
 
-def _mean_known(rows: list[Any]) -> Array:
-    """Mean over rows, of what is finite."""
+def mean_known(rows: Sequence[Any] | Array) -> Array:
+    """Mean over rows, of what is finite; NaN where nothing is."""
     values = np.array(rows, float)
     known = np.isfinite(values)
-    return np.where(known, values, 0.0).sum(axis=0) / known.sum(axis=0)
+    with np.errstate(invalid="ignore"):
+        return np.where(known, values, 0.0).sum(axis=0) / known.sum(axis=0)

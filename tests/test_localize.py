@@ -141,11 +141,13 @@ def test_published_equations_stand_beside_the_chain():
     rows = {row["method"]: row for row in equations_table(list(equations(1, 6)))}
     # 6 draws of 40 nodes: the standard deviation of the ratio is some 6 %.
     assert rows["production chain"]["rmse_over_crlb"] == pytest.approx(1.0, abs=0.2)
-    assert rows["printed (3), (4), weights (5) to (9)"]["rmse_over_crlb"] > 20
+    assert rows["printed (3)-(4), weights (5)-(9)"]["rmse_over_crlb"] > 20
     assert rows["DV-distance alone"]["rmse_over_crlb"] > 5
     chain, squared = rows["production chain, NLOS"], rows["chain with squared loss, NLOS"]
     assert chain["rmse_over_crlb"] < squared["rmse_over_crlb"]
-    assert all(row["draws"] == 6 for row in rows.values())
+    assert {name: row["draws"] for name, row in rows.items()} == {
+        name: 3 if name.endswith("NLOS") else 6 for name in rows
+    }
 
 
 def test_figure_2_loses_coverage_and_accuracy():
@@ -216,7 +218,7 @@ def test_table_2_is_judged_by_axis():
     assert (x.reproduced, y.reproduced, z.reproduced) == (True, True, False)
     assert "bound of one instant 47.0 m" in z.why
     assert "it takes another measurement" in z.why
-    assert "With the altitude it fits" in z.why
+    assert z.why.count("With the altitude it fits") == 1
     # The paper's RMSE over its absolute error is about twice that of a normal error.
     assert not sizes.reproduced
     assert "2.42, 1.98, 2.54 there and 1.2" in sizes.why
