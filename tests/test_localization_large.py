@@ -90,9 +90,9 @@ def test_matrix_free_result_is_that_of_scipy(small):
         xtol=None,
         ftol=None,
         gtol=1e-8,
-        max_nfev=12,
+        max_nfev=8,
         tr_solver="lsmr",
-        tr_options={"atol": 1e-12, "btol": 1e-12},
+        tr_options={"atol": 1e-9, "btol": 1e-9},
     )
     between_anchors = cost_of(problem, problem.anchor_x, problem.anchor)
     assert found.cost + between_anchors == pytest.approx(best.cost, rel=1e-9)
@@ -184,6 +184,8 @@ def test_errors_have_the_covariance_that_is_stated(medium):
     assert 0.95 < ratio < 1.15
     square = np.sum(error**2, axis=1)
     assert np.mean((square > 250**2) & (square > 25 * np.trace(cov, axis1=1, axis2=2))) < 1e-3
+    # Folds are found and placed again; the first look alone leaves a node that does not fit.
+    assert not found.suspect.any()
     assert located[~problem.anchor].mean() > 0.98
 
 
