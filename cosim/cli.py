@@ -41,6 +41,14 @@ class InputError(ValueError):
 
 def main() -> None:
     """Entry point: turns mistakes in the input into one line each and status 2."""
+    try:
+        _main()
+    except KeyboardInterrupt:  # during the imports
+        error_console.print("stopped")
+        sys.exit(1)
+
+
+def _main() -> None:
     # All cores are at work on runs of their own: more threads in each would wait. numpy reads it at import.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 

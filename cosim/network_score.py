@@ -48,6 +48,7 @@ class NetworkScore:
     sent: int
     delivered: int
     transmissions: int
+    slots_used: int
     slots: int
 
     @property
@@ -78,7 +79,7 @@ class NetworkScore:
             "fixes_delivered": _share(self.fates[FixFate.DELIVERED], fixes),
             "packets_delivered": _share(self.delivered, self.sent),
             "transmissions_per_packet": _share(self.transmissions, self.delivered),
-            "slots_used": _share(self.transmissions, self.slots),
+            "slots_used": _share(self.slots_used, self.slots),
         }
         return plain(told)
 
@@ -137,7 +138,9 @@ class NetworkScorer:
         squares = [np.sum(x[located] ** 2) for x in (record.error_n, record.sd_n)]
         sums = np.array([located.sum(), (~record.anchor).sum() * len(record.time), *squares])
         fates = np.bincount(record.fate, minlength=len(FixFate))
-        packets = np.array([record.sent, record.delivered, record.transmissions, record.slots])
+        packets = np.array(
+            [record.sent, record.delivered, record.transmissions, record.slots_used, record.slots]
+        )
         self._rows.append(
             (error, cov.sum(axis=0), own_nees, arrived, record.fleet_delay, sums, fates, packets)
         )
@@ -151,7 +154,7 @@ class NetworkScorer:
         )
         error, all_nees = np.concatenate(errors), np.concatenate(runs_nees)
         located, blind, square, stated = np.sum(sums, axis=0)
-        sent, delivered, transmissions, slots = (int(count) for count in np.sum(packets, axis=0))
+        sent, delivered, transmissions, slots_used, slots = (int(count) for count in np.sum(packets, axis=0))
         return NetworkScore(
             runs=len(self._rows),
             own_error=error,
@@ -167,6 +170,7 @@ class NetworkScorer:
             sent=sent,
             delivered=delivered,
             transmissions=transmissions,
+            slots_used=slots_used,
             slots=slots,
         )
 

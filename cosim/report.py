@@ -10,6 +10,7 @@ import numpy as np
 
 from ..aircraft.flight import Flight
 from ..align.estimate import Array, FixOutcome
+from ..network.fleet_network import FleetNetwork
 from ..network.record import NetworkRecord
 from .figures import draw_all
 from .network_figures import draw_network
@@ -48,7 +49,12 @@ def write_report(
     Raises OSError.
     """
     replayed = scenario.fixes.kind == "replay"
-    figures = draw_all(flight, window, scores, bound, scenario.fixes.delay_mean_s, with_bands=not replayed)
+    if isinstance(scenario.fixes, FleetNetwork):
+        delays = network[1].own_delay if network is not None else np.empty(0)
+        delay_mean_s = float(np.mean(delays)) if len(delays) else np.nan
+    else:
+        delay_mean_s = scenario.fixes.delay_mean_s
+    figures = draw_all(flight, window, scores, bound, delay_mean_s, with_bands=not replayed)
     if network is not None:
         figures |= draw_network(*network)
     write_page(

@@ -43,6 +43,9 @@ UNMODELLED = (
 )
 """Errors of the IMU that the filters have no state and no noise for."""
 
+LASTING = ("range_bias_sd_m", "biased_nodes", "nlos_share", "altitude_bias_sd_m")
+"""Settings of the radio whose errors are the same from one fix to the next."""
+
 
 @dataclass(frozen=True)
 class Run:
@@ -213,6 +216,10 @@ def no_bound_because(scenario: Scenario) -> str | None:
     imu = scenario.imu
     if scenario.fixes.kind == "replay":
         return "the fixes are a recording, one draw of its noise"
+    if isinstance(scenario.fixes, FleetNetwork):
+        lasting = [name for name in LASTING if getattr(scenario.fixes.radio, name)]
+        if lasting:
+            return f"{', '.join(lasting)}: errors of the fixes last, and the filter takes them for white"
     if imu.bias_draw != "gaussian":
         return "the biases are not Gaussian"
     for sensor, instability in (

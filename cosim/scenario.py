@@ -223,6 +223,10 @@ def _told(file: str, mistake: Any) -> str:
     unit = _unit(field)
     shown = f" = {_shortened(repr(value))} {unit}".rstrip() if not isinstance(value, dict) else ""
     told = mistake["msg"].removeprefix("Value error, ")
+    if kind == "union_tag_invalid":
+        return (
+            f"{file}: {field}.kind = {mistake['ctx']['tag']!r}: allowed are {mistake['ctx']['expected_tags']}"
+        )
     if allowed:
         told = f"allowed is {allowed} {unit}".rstrip()
     return f"{file}: {field}{shown}: {told}"

@@ -3,7 +3,8 @@
 At each epoch all nodes that hear each other have ranged each other in their slots of the frame before, and
 range rates carry the ranges forward to the epoch (over 25 ms at 6 m/s^2 that leaves 2 mm). Each node's fix
 is computed by another node, its solver, and sent to it as one packet. So a fix is true at its epoch, and
-late by what the network takes to carry it.
+late by what the network takes to carry it. That the solver has all ranges of the frame at its end is taken
+for granted: their own way to it, which over several hops takes as many frames, is not simulated.
 """
 
 from collections.abc import Callable
@@ -14,7 +15,6 @@ from numpy.random import Generator
 from pydantic import Field, model_validator
 
 from ..sins.settings import Settings
-from ..sins.units import MILLISECOND
 from .fixes import Fixes, FixesError
 from .fleet import OWN_SHIP, CentrePath, Fleet, FleetSettings, draw_formation
 from .localization.chain import LocalizationSettings
@@ -36,8 +36,8 @@ class FleetNetwork(Settings):
     """Fixes from a simulated fleet (Gao et al., sections 2 and 3)."""
 
     kind: Literal["network"] = "network"
-    rate_hz: float = Field(default=10.0, ge=0.1, le=100)
-    """Epochs, and fixes of each node, a second."""
+    rate_hz: float = Field(default=10.0, ge=1, le=100)
+    """Epochs, and fixes of each node, a second; the search for each starts at the one before."""
     fleet: FleetSettings = FleetSettings()
     radio: RadioSettings = RadioSettings()
     protocol: ProtocolSettings = ProtocolSettings()
@@ -53,13 +53,6 @@ class FleetNetwork(Settings):
         except ProtocolError as error:
             raise ValueError(str(error)) from error
         return self
-
-    @property
-    def delay_mean_s(self) -> float:
-        """Mean delay over one hop, sent once, without a queue: half a frame and the payload."""
-        protocol = self.protocol
-        frame_s = (self.fleet.nodes + protocol.extra_slots) * protocol.slot_ms * MILLISECOND
-        return 0.5 * frame_s + protocol.payload_s
 
 
 def fly_network(
@@ -147,6 +140,7 @@ def fly_network(
         sent=len(traffic),
         delivered=int(deliveries.delivered.sum()),
         transmissions=int(deliveries.transmissions.sum()),
+        slots_used=deliveries.slots_used,
         slots=deliveries.slots,
     )
     return fixes.sorted_by_arrival(), record
@@ -169,9 +163,11 @@ _UNDELIVERED = {
 
 def _fates(outcome: Integers, packet: Integers) -> Integers:
     """`FixFate` (k,) from the own ship's `NodeOutcome` and from the `PacketFate` of its packet, (k,) each."""
-    fate = np.full(len(outcome), int(FixFate.DELIVERED))
+    fate = np.full(len(outcome), -1)
+    fate[(outcome == NodeOutcome.LOCATED) & (packet == PacketFate.DELIVERED)] = FixFate.DELIVERED
     for code, reason in _UNDELIVERED.items():
         fate[packet == code] = reason
     for code, reason in _UNMADE.items():
         fate[outcome == code] = reason
+    assert (fate >= 0).all()
     return fate

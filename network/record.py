@@ -18,7 +18,7 @@ class FixFate(IntEnum):
     TOO_FEW_NEIGHBOURS = 1
     """Not made: fewer usable neighbours than a fix needs."""
     UNLOCALIZABLE = 2
-    """Not made: the geometry leaves the position, or the velocity, too uncertain."""
+    """Not made: the geometry leaves the position too uncertain."""
     AMBIGUOUS = 3
     """Not made: a mirror image fits the ranges as well."""
     INCONSISTENT = 4
@@ -46,7 +46,7 @@ class NetworkRecord:
     error_n: Array
     """(k, n, 3) estimated less true position, NED at the fleet's centre, m; NaN where there is none."""
     sd_n: Array
-    """(k, n, 3) standard deviations that the estimator states, NED, m; NaN where there is no estimate."""
+    """(k, n, 3) standard deviations that the estimator states, NED, m; NaN likewise."""
     velocity_error_n: Array
     """(k, n, 3) NED, m/s."""
     outcome: Integers
@@ -72,6 +72,8 @@ class NetworkRecord:
     delivered: int
     """Packets that arrived, of all nodes."""
     transmissions: int
-    """Slots used to carry them, retries included."""
+    """Times that they were sent, retries included."""
+    slots_used: int
+    """Slots (CSMA: mini-slots) in which a node sent."""
     slots: int
-    """Slots that went by."""
+    """Slots (CSMA: mini-slots) that went by, with the warm-up before and the time that last packets had."""

@@ -16,9 +16,9 @@ from .radio import Radio
 from .record import Array, Integers
 from .topology import Topology
 
-CHUNK = 50
-"""Epochs at a time: nodes are started between chunks, and all pairs at all epochs would need much memory."""
-SEGMENT = 20
+CHUNK_S = 1.0
+"""Time at a time: nodes are started between chunks, and all pairs at all epochs would need much memory."""
+SEGMENT = 100
 """Chunks after which all nodes are located from nothing again, so that no wrong start lasts; segments are
 worked on side by side."""
 
@@ -32,7 +32,7 @@ class Survey:
     error_n: Array
     """(k, n, 3) estimated less true position, NED at the fleet's centre, m; NaN where there is none."""
     sd_n: Array
-    """(k, n, 3) m, likewise: stated standard deviations."""
+    """(k, n, 3) m, likewise: stated standard deviations, of other nodes than the own ship once a chunk."""
     velocity_error_n: Array
     """(k, n, 3) m/s, likewise."""
     outcome: Integers
@@ -100,7 +100,9 @@ def survey(
 
 
 def _segments(fleet: Fleet, radio: Radio, topology: Topology, t: Array) -> Iterator[list[_Sight]]:
-    chunks = [t[first : first + CHUNK] for first in range(0, len(t), CHUNK)]
+    # The small part lets an epoch that falls on a second's end but for rounding begin the next.
+    cuts = np.flatnonzero(np.diff(np.floor((t - t[0]) / CHUNK_S + 1e-6))) + 1
+    chunks = np.split(t, cuts)
     for first in range(0, len(chunks), SEGMENT):
         yield [_seen(fleet, radio, topology, chunk) for chunk in chunks[first : first + SEGMENT]]
 
@@ -140,12 +142,14 @@ def _located(tracker: Tracker, sight: _Sight) -> Survey:
     own_lla = earth.lla_from_ecef(own_e)
     # From the axes of the fleet's centre to those of the own ship.
     turn = earth.C_en(own_lla[:, 0], own_lla[:, 1]).transpose(0, 2, 1) @ sight.C_en
+    sd_n = np.where(np.isfinite(track.x), track.sd[:, :3], np.nan)
+    sd_n[:, OWN_SHIP] = np.sqrt(np.einsum("kii->ki", track.own_cov[:, :3, :3]))
     both = np.zeros((len(turn), 6, 6))
     both[:, :3, :3] = both[:, 3:, 3:] = turn
     return Survey(
         lla=sight.lla,
         error_n=track.x - sight.x,
-        sd_n=np.broadcast_to(track.sd[:, :3], track.x.shape),
+        sd_n=sd_n,
         velocity_error_n=track.v - sight.v,
         outcome=track.outcome,
         own_lla=own_lla,

@@ -111,6 +111,7 @@ def a_network_record():
             sent=22 * k,
             delivered=20 * k,
             transmissions=33 * k,
+            slots_used=30 * k,
             slots=200 * k,
         )
 

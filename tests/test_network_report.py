@@ -42,7 +42,7 @@ def test_counts_and_shares_are_those_of_the_records(summary):
     assert summary["fixes_delivered"] == pytest.approx(1 - 3 / EPOCHS)
     assert summary["packets_delivered"] == pytest.approx(20 / 22)
     assert summary["transmissions_per_packet"] == pytest.approx(33 / 20)
-    assert summary["slots_used"] == pytest.approx(33 / 200)
+    assert summary["slots_used"] == pytest.approx(30 / 200)
 
 
 def test_errors_are_root_mean_squares_beside_what_is_stated(records, summary):

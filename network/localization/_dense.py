@@ -271,7 +271,8 @@ def minimize(S, place, terms, floor, damping, max_iterations, tolerance, A, g):
 
     Steps without damping go on with the same factor for as long as they shrink quickly. It ends when a step,
     in standard deviations over all unknowns, is below ``tolerance``. Returns the cost, the number of factors
-    made, and whether it converged; ``A`` holds the last of them, made at a point before the end.
+    made, and whether it converged; ``A`` holds the last of them, made at a point before the end, and damped
+    if it had to be.
     """
     new_cost = np.inf
     no_matrix, step, new_g = np.empty((0, 0)), np.empty_like(g), np.empty_like(g)
@@ -302,8 +303,12 @@ def minimize(S, place, terms, floor, damping, max_iterations, tolerance, A, g):
             before, decrement = decrement, _product(new_g, step)
             if decrement > _SHRINKING * before:
                 break
-            S[:] = moved(S, place, step)
-            new_cost = evaluate(S, place, terms, no_matrix, new_g)
+            after = moved(S, place, step)
+            trial = evaluate(after, place, terms, no_matrix, new_g)
+            if trial > new_cost and decrement > tolerance**2:
+                break
+            S[:] = after
+            new_cost = trial
             if decrement <= tolerance**2:
                 return new_cost, iteration, True
         damping = 0.1 * damping if damping > 1e-5 else 0.0

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from ...sins._kernels import COMPILED
-from ._dense import Terms, covariance_blocks, link, minimize
+from ._dense import Terms, covariance_blocks, evaluate, factorize, link, minimize, support
 
 _MOST_MISFIT = 9.0
 """A few ranges without line of sight are no contradiction, however long they are."""
@@ -67,7 +67,12 @@ def track(
             first.w_height,
             first.curvature,
         )
-        converged[k] = minimize(S, place, terms, floor, 0.0, most, tolerance, A, g)[2]
+        _, factors, converged[k] = minimize(S, place, terms, floor, 0.0, most, tolerance, A, g)
+        if factors > 1:
+            # The start was far: its factor does not serve for the covariance.
+            evaluate(S, place, terms, A, g)
+            support(A, floor)
+            converged[k] &= factorize(A)
         states[k] = S
         own_cov[k] = np.nan
         if place[0] >= 0:

@@ -1,9 +1,10 @@
 """Position and velocity of a fleet's nodes, epoch by epoch, from ranges and range rates together.
 
-Each epoch is solved by itself, by maximum likelihood: errors of different epochs are as independent as their
-measurements. The epoch before is where the search starts, no more. Ranges and range rates are solved
-together: a range rate tells of a direction, and so of positions, as much as of velocities, and velocities
-from range rates at given positions would have to bear the errors of these.
+Each epoch is solved by itself: with a squared loss by maximum likelihood, and with errors as independent of
+other epochs' as its measurements. The epoch before is where the search starts, no more.
+
+Ranges and range rates are solved together: a range rate tells of a direction, and so of positions, as much as
+of velocities, and velocities from range rates at given positions would have to bear the errors of these.
 """
 
 from dataclasses import dataclass
@@ -22,10 +23,12 @@ from .problem import Array, Booleans, Integers, NodeOutcome, RangeProblem
 
 RESTART_S = 5.0
 """Interval at which nodes that have no position are started anew, and after which a lost one has none."""
+OWN_RESTART_S = 1.0
+"""The same while the own ship has no position."""
 TOLERANCE = 0.03
 """Size of the last step of an epoch, in standard deviations of all unknowns together."""
 INCONSISTENT_CHANCE = 1e-6
-"""Chance at which noise alone makes a node count as inconsistent."""
+"""Chance, about, at which noise alone makes a node count as inconsistent."""
 _ITERATIONS = 20
 _NANOSECOND = 1e-9
 
@@ -129,7 +132,8 @@ class Tracker:
 
     def advance(self, epochs: Epochs) -> Track:
         """Estimates of the next epochs. Nodes are started at the first of them, if at all."""
-        if not self._started.all() and epochs.t[0] - self._chain_s >= RESTART_S:
+        since_s = epochs.t[0] - self._chain_s
+        if not self._started.all() and since_s >= (RESTART_S if self._started[OWN_SHIP] else OWN_RESTART_S):
             self._start(epochs)
         k, (n, B) = len(epochs.t), self._S.shape
         beliefs = self._beliefs(epochs)
@@ -166,15 +170,16 @@ class Tracker:
         spread[:, OWN_SHIP] = np.sqrt(np.einsum("kii->k", own_cov[:, :3, :3]))
 
         outcome = np.full((k, n), int(NodeOutcome.LOCATED))
-        limit = chi2.ppf(1 - INCONSISTENT_CHANCE, np.maximum(residuals, 1))
+        limit = chi2.ppf(1 - INCONSISTENT_CHANCE, np.maximum(residuals - B, 1))
         outcome[misfit > limit] = NodeOutcome.INCONSISTENT
         outcome[spread > self._settings.max_position_sd_m] = NodeOutcome.SINGULAR
         outcome[~converged] = NodeOutcome.NOT_CONVERGED
         outcome[neighbours < self._settings.min_neighbors] = NodeOutcome.TOO_FEW_NEIGHBOURS
         outcome[:, ~self._started] = self._chain_outcome[~self._started]
-        outcome[:, self._anchor] = NodeOutcome.ANCHOR
+        outcome[:, self._anchor & self._started] = NodeOutcome.ANCHOR
         self._forget(epochs.t, outcome)
-        kept = ((outcome == NodeOutcome.LOCATED) | self._anchor)[..., None]
+        kept = np.isin(outcome, [NodeOutcome.LOCATED, NodeOutcome.ANCHOR])[..., None]
+        own_cov[outcome[:, OWN_SHIP] != NodeOutcome.LOCATED] = np.nan
         x, v = states[..., :3], states[..., self._kinematic[3] : self._kinematic[5] + 1]
         return Track(np.where(kept, x, np.nan), np.where(kept, v, np.nan), own_cov, sd, outcome)
 
@@ -196,8 +201,10 @@ class Tracker:
             ),
             self._settings,
         )
-        self._chain_s = float(epochs.t[0])
-        self._chain_outcome = found.outcome
+        self._chain_s = self._t = float(epochs.t[0])
+        self._chain_outcome = np.where(found.suspect, int(NodeOutcome.INCONSISTENT), found.outcome)
+        # A biased anchor pulls the nodes around it: it has to stand back until it is beyond suspicion.
+        self._started[self._anchor] = ~found.suspect[self._anchor]
         new = ~self._started & (found.outcome == NodeOutcome.LOCATED)
         if not new.any():
             return
@@ -264,10 +271,12 @@ class Tracker:
         )
 
     def _forget(self, t: Array, outcome: Integers) -> None:
-        """Nodes that were not located for a while have to start anew."""
+        """Nodes that were not located for a while, or contradicted others throughout, have to start anew."""
         located = outcome == NodeOutcome.LOCATED
         latest = np.where(located, t[:, None], -np.inf).max(axis=0)
         self._located_s = np.maximum(self._located_s, latest)
-        lost = self._started & ~self._anchor & (t[-1] - self._located_s > RESTART_S)
+        absent = t[-1] - self._located_s > RESTART_S
+        contradicted = (outcome == NodeOutcome.INCONSISTENT).all(axis=0)
+        lost = self._started & ~self._anchor & (absent | contradicted)
         self._chain_outcome[lost] = outcome[-1, lost]
         self._started &= ~lost
