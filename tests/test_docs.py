@@ -12,8 +12,10 @@ import pytest
 from fleetalign.aircraft.airframe import airframe_names
 from fleetalign.align.filters import FILTERS
 from fleetalign.cosim import cli, outputs, score
-from fleetalign.cosim.run import bound_of, fixes_of, simulate_all
-from fleetalign.cosim.scenario import UNITS, load_scenario
+from fleetalign.cosim.network_score import NetworkScorer
+from fleetalign.cosim.run import bound_of, simulate
+from fleetalign.cosim.scenario import UNITS, load_scenario, replaced
+from fleetalign.cosim.variants import run_variants
 from fleetalign.sins import attitude, earth, error_model
 from fleetalign.sins.error_model import ACCEL, GYRO, MISALIGN
 from typer.main import get_command
@@ -122,17 +124,21 @@ def test_python_examples_run(page, flight_cache, capsys):
         assert all(name in printed for name in FILTERS)
 
 
-def test_summary_has_the_keys_that_the_readme_names(stated, flight, window):
-    scorer = score.Scorer(window, stated.alignment.filters)
-    for run in simulate_all(stated, window, 2, seed=7):
-        scorer.add(run)
-    fixes = [fixes_of(stated, window, 0, 7)[0]]
-    bound = score.standard_deviations(window, bound_of(stated, window, fixes), stated.imu.vibration_mps)
-    summary = outputs.summarize("gao2009", stated, 7, flight, scorer.scores(), bound)
+def test_summary_has_the_keys_that_the_readme_names(gao2009, flight, window):
+    scenario = replaced(gao2009, {"runs": 1, "variants": {"other": {"fixes.fleet.nodes": 30}}})
+    scorer, network = score.Scorer(window, scenario.alignment.filters), NetworkScorer()
+    run = simulate(scenario, flight, 0, seed=7)
+    scorer.add(run)
+    network.add(run.network)
+    bound = bound_of(scenario, window, [run.fixes])
+    bound_sd = score.standard_deviations(window, bound, scenario.imu.vibration_mps)
+    summary = outputs.summarize("x", scenario, 7, flight, scorer.scores(), bound_sd, network.score())
+    summary["variants"] = run_variants(scenario, flight)
     told = set(re.findall(r"`(\w+)`", README.split("`summary.json` has")[1].split("\n## ")[0]))
     one = next(iter(summary["filters"].values()))
     keys = {*summary} - {"bound", "paper"} | set(summary["flight"]) | set(one) | {"ci95"}
-    assert told == keys
+    assert told == keys | set(summary["network"]) | {"ratios"}
+    assert set(summary["variants"]["other"]) == {"filters", "network", "ratios"}
     assert set(summary["bound"]) == {"stamped"}
     assert set(summary["paper"]) == {"ekf", "l2linf"}
     json.dumps(summary, allow_nan=False)
