@@ -21,6 +21,8 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="little work, to see whether everything runs")
     parser.add_argument("--out", type=Path, default=Path("docs/benchmarks.md"), help="Markdown file to write")
+    names = {subject.__name__.rsplit(".", 1)[1]: subject for subject in SUBJECTS}
+    parser.add_argument("--only", choices=names, nargs="+", default=list(names), help="subjects to time")
     options = parser.parse_args(arguments)
 
     console, before = Console(stderr=True), load()
@@ -31,8 +33,8 @@ def main(arguments: list[str]) -> int:
         harness = Harness(QUICK if options.quick else FULL, progress)
         material = prepare(harness.size)
         progress.advance(preparing)
-        for subject in SUBJECTS:
-            rows += subject.rows(harness, material)
+        for name in options.only:
+            rows += names[name].rows(harness, material)
     if options.quick:
         # Little work says nothing of speed.
         rows = [replace(row, reached=None) for row in rows]
