@@ -87,7 +87,10 @@ NOTES = {
     " optimiser alone, its problem built beforehand. The cost is over links between nodes that ours located,"
     " by one function."
     for package, optimiser in (
-        ("gtsam", "`LevenbergMarquardtOptimizer.optimize` with a `RangeFactor3` a link"),
+        (
+            "gtsam",
+            "`LevenbergMarquardtOptimizer.optimize` with a `RangeFactor3` a link and anchors held to 1 mm",
+        ),
         ("scipy", "`least_squares` by `trf` and `lsmr` with a sparse Jacobian"),
     )
     for start, where in (
@@ -107,11 +110,13 @@ def _cost(problem: RangeProblem, x: np.ndarray, keep: np.ndarray) -> float:
 
 def _gtsam(problem: RangeProblem, start: np.ndarray) -> Callable[[], np.ndarray]:
     gtsam = import_module("gtsam")
+    # Equality constraints would make every elimination of its Cholesky a slow one.
+    tight = gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for (i, j), r, sd in zip(problem.links, problem.ranges, problem.range_sd, strict=True):
         graph.add(gtsam.RangeFactor3(int(i), int(j), float(r), gtsam.noiseModel.Isotropic.Sigma(1, sd)))
     for k in np.flatnonzero(problem.anchor):
-        graph.add(gtsam.NonlinearEqualityPoint3(int(k), problem.anchor_x[k]))
+        graph.add(gtsam.PriorFactorPoint3(int(k), problem.anchor_x[k], tight))
     for k, known in enumerate(problem.anchor):
         values.insert(k, (problem.anchor_x if known else start)[k])
 
