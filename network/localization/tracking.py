@@ -23,8 +23,8 @@ from .problem import Array, Booleans, Integers, NodeOutcome, RangeProblem
 
 RESTART_S = 5.0
 """Interval at which nodes that have no position are started anew, and after which a lost one has none."""
-OWN_RESTART_S = 1.0
-"""The same while the own ship has no position."""
+FIRST_RESTART_S = 1.0
+"""The same after the first try that left the own ship without a position; each further one doubles it."""
 TOLERANCE = 0.03
 """Size of the last step of an epoch, in standard deviations of all unknowns together."""
 INCONSISTENT_CHANCE = 1e-6
@@ -126,15 +126,16 @@ class Tracker:
         self._S = np.zeros((n, len(components)))
         self._started = anchor.copy()
         self._located_s = np.full(n, -np.inf)
-        self._chain_s = -np.inf
+        self._chain_s, self._wait_s = -np.inf, 0.5 * FIRST_RESTART_S
         self._t: float | None = None
         self._chain_outcome = np.full(n, int(NodeOutcome.TOO_FEW_NEIGHBOURS))
 
     def advance(self, epochs: Epochs) -> Track:
         """Estimates of the next epochs. Nodes are started at the first of them, if at all."""
-        since_s = epochs.t[0] - self._chain_s
-        if not self._started.all() and since_s >= (RESTART_S if self._started[OWN_SHIP] else OWN_RESTART_S):
+        if not self._started.all() and epochs.t[0] - self._chain_s >= self._wait_s:
             self._start(epochs)
+            patient = min(2 * self._wait_s, RESTART_S)
+            self._wait_s = RESTART_S if self._started[OWN_SHIP] else patient
         k, (n, B) = len(epochs.t), self._S.shape
         beliefs = self._beliefs(epochs)
         i, j = epochs.pairs.T
