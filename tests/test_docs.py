@@ -72,10 +72,11 @@ def test_modules_and_names_that_pages_mention_exist(page):
     text = prose(page.read_text("utf-8"))
     for dotted in re.findall(rf"`((?:{'|'.join(ROOMS)})\.[\w.]+)`", text):
         room, *names = dotted.split(".")
-        found = importlib.import_module(f"fleetalign.{room}")
+        found, path = importlib.import_module(f"fleetalign.{room}"), ROOT / room
         for name in names:
-            if (ROOT / room / f"{name}.py").exists() and found.__name__ == f"fleetalign.{room}":
-                found = importlib.import_module(f"fleetalign.{room}.{name}")
+            path = path / name
+            if path.is_dir() or path.with_suffix(".py").exists():
+                found = importlib.import_module(f"{found.__name__}.{name}")
             else:
                 assert hasattr(found, name), f"{page.name}: {dotted}"
                 found = getattr(found, name)
