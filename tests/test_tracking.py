@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fleetalign.network.localization import _dense
+from fleetalign.network.localization import _cholesky, _dense
 from fleetalign.network.localization.chain import LocalizationSettings
 from fleetalign.network.localization.least_squares import Loss, refine
 from fleetalign.network.localization.problem import LocalizationError, NodeOutcome, RangeProblem
@@ -101,19 +101,19 @@ def test_factors_and_inverse_blocks(size):
     M = rng.standard_normal((size, size))
     A = M @ M.T + size * np.eye(size)
     U = A.copy()
-    assert _dense.factorize(U)
+    assert _cholesky.factorize(U)
     np.testing.assert_allclose(np.triu(U), np.linalg.cholesky(A).T, rtol=1e-12, atol=1e-12)
     b = rng.standard_normal(size)
     x = b.copy()
-    _dense.substitute(U, x)
+    _cholesky.substitute(U, x)
     np.testing.assert_allclose(A @ x, b, atol=1e-10)
     B = 1 if size % 3 else 3
     blocks = np.empty((size // B, B, B))
-    _dense.covariance_blocks(U, blocks)
+    _cholesky.covariance_blocks(U, blocks)
     inverse = np.linalg.inv(A)
     for p, block in enumerate(blocks):
         np.testing.assert_allclose(block, inverse[p * B : p * B + B, p * B : p * B + B], atol=1e-12)
-    assert not _dense.factorize(A - 10 * size * np.eye(size))
+    assert not _cholesky.factorize(A - 10 * size * np.eye(size))
 
 
 def ranging(rng, sd=50.0):

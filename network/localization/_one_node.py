@@ -13,7 +13,8 @@ import numpy as np
 from numba import njit
 
 from ...sins._kernels import COMPILED
-from ._dense import factorize, robust, substitute
+from ._cholesky import factorize, substitute
+from ._dense import robust
 
 _FLOOR = 1e-10
 _STEPS = 15

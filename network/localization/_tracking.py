@@ -10,7 +10,8 @@ import numpy as np
 from numba import njit
 
 from ...sins._kernels import COMPILED
-from ._dense import Terms, covariance_blocks, evaluate, factorize, link, minimize, support
+from ._cholesky import covariance_blocks, factorize
+from ._dense import Terms, evaluate, link, minimize, support
 
 _MOST_MISFIT = 9.0
 """A few ranges without line of sight are no contradiction, however long they are."""

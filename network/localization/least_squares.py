@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from ...sins.settings import Settings
-from . import _dense
+from . import _cholesky, _dense
 from .problem import Array, Booleans, RangeProblem
 
 LOSSES = {"squared": _dense.SQUARED, "huber": _dense.HUBER, "one_sided": _dense.ONE_SIDED}
@@ -105,9 +105,9 @@ def refine(
     )
     _dense.evaluate(S, place, terms, A, g)
     _dense.support(A, FLOOR[:B])
-    _dense.factorize(A)
+    _cholesky.factorize(A)
     blocks = np.empty((N // B, B, B))
-    _dense.covariance_blocks(A, blocks)
+    _cholesky.covariance_blocks(A, blocks)
     cov = np.full((n, 3, 3), np.nan)
     cov[part] = 0.0
     cov[free] = blocks[:, :3, :3]
