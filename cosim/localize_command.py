@@ -1,102 +1,62 @@
-"""The two studies of the command `localize`: a fleet in all detail, and the scale of localisation."""
+"""The command `localize`. What is heavy is imported when it runs, so that the help is quick."""
 
-from dataclasses import dataclass
+import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
-from rich.box import SIMPLE_HEAD
-from rich.console import RenderableType
-from rich.table import Table
-from rich.text import Text
+import typer
 
-from ..aircraft.flight import Flight
-from ..network.fleet_network import FleetNetwork
-from ..network.localization.large import LINK_RADIUS_M, RANGE_SD_M, large_study
-from ..network.localization.problem import NodeOutcome
-from .localize import LocalizeStudy, Progress, run_study
-from .localize_report import localize_tables, summarize, verdict_lines, write_localize
-from .network_score import plain
-from .run import alignment_window
-from .scenario import Scenario, ScenarioError, replaced
-from .scenery import told
-from .still import PROTOCOLS
-
-MOST_NODES = 200
-"""Of a fleet that is studied in all detail; that of more nodes is the study of scale."""
+from .command_line import (
+    AsJson,
+    InputError,
+    NoCache,
+    OutFolder,
+    Quiet,
+    ScenarioArgument,
+    command_as_typed,
+    flown,
+    loaded,
+    output_folder,
+)
+from .terminal import out_console, progress_bar
 
 
-@dataclass(frozen=True)
-class Told:
-    """What there is to tell of a study."""
+def localize(
+    scenario: ScenarioArgument = "gao2009",
+    nodes: Annotated[
+        int | None,
+        typer.Option(max=2_000_000, help="Number of nodes; above 200 the study of scale, without a flight."),
+    ] = None,
+    draws: Annotated[int, typer.Option(help="Draws of the network.")] = 200,
+    seed: Annotated[int | None, typer.Option(help="Seed of all draws; the scenario's by default.")] = None,
+    out: OutFolder = None,
+    no_cache: NoCache = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run a scenario's network alone: coverage, accuracy, delay and load, and the paper's figures."""
+    from .localize_studies import MOST_NODES, study_fleet, study_scale, with_network
+    from .outputs import write_json
 
-    summary: dict[str, Any]
-    """Content of `localize.json`."""
-    parts: list[RenderableType]
-    """For the terminal."""
-
-
-def with_network(scenario: Scenario, origin: str, nodes: int | None) -> Scenario:
-    """The scenario with so many nodes in its network. Raises `ScenarioError` for none that can work."""
-    kind = scenario.fixes.kind
-    if not isinstance(scenario.fixes, FleetNetwork):
-        raise ScenarioError(f"{origin}: fixes.kind = {kind!r}: there is no network to localize")
-    if nodes is not None:
-        scenario = replaced(scenario, {"fixes.fleet.nodes": nodes}, origin="option")
-    for protocol in PROTOCOLS:  # It is to work under each.
-        replaced(scenario, {"fixes.protocol.kind": protocol}, origin=f"{origin}, under {protocol}")
-    return scenario
-
-
-def study_fleet(
-    name: str,
-    scenario: Scenario,
-    flight: Flight,
-    draws: int,
-    page: Path,
-    command: str,
-    progress: Progress | None = None,
-) -> Told:
-    """Study the scenario's network, and write the page. Raises `ScenarioError`, OSError."""
-    assert isinstance(scenario.fixes, FleetNetwork)
-    try:
-        epoch_s = float(alignment_window(scenario, flight).time[0])
-    except ScenarioError as error:
-        raise ScenarioError(f"{name}: {error}") from error
-    study = LocalizeStudy(scenario.fixes, flight, epoch_s, draws, scenario.seed)
-    results = run_study(study, progress)
-    summary = summarize(name, study, results)
-    write_localize(page, scenario.title, results, summary, command)
-    lines = [Text(f"- {line}") for line in verdict_lines(summary)]
-    return Told(summary, [*localize_tables(scenario.title, summary), *lines])
-
-
-def study_scale(nodes: int, seed: int, progress: Progress | None = None) -> Told:
-    """Locate ``nodes`` nodes from nothing and from near the truth."""
-    found = plain(large_study(nodes, seed, progress))
-    table = Table(
-        title=Text(f"{nodes} nodes, links to {LINK_RADIUS_M / 1000:g} km, ranges to {RANGE_SD_M:g} m"),
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-        show_header=False,
-    )
-    table.add_column("", no_wrap=True)
-    table.add_column("", justify="right", no_wrap=True)
-    rows = {
-        "links": f"{found['links']} ({found['mean_degree']:.1f} a node)",
-        "anchors": f"{found['anchors']:.0f}",
-        "cold start": f"{found['cold_s']:.1f} s",
-        "near start": f"{found['near_s']:.1f} s",
-        "median error": f"{found['median_error_sd']:.2f} sd of a range",
-        "95 % of errors below": f"{found['p95_error_sd']:.2f} sd of a range",
-        "located": f"{100 * found['located_share']:.2f} %",
-        "located, and wrong": f"{100 * found['bad_share']:.4f} %",
-        "cost over that of the near start": f"{found['cost_over_near']:.4f}",
-        "most memory": f"{found['peak_memory_mb'] or float('nan'):.0f} MB",
-    }
-    for name, cell in rows.items():
-        table.add_row(name, cell)
-    for outcome in NodeOutcome:
-        count = found[outcome.name.lower()]
-        if outcome not in (NodeOutcome.ANCHOR, NodeOutcome.LOCATED) and count:
-            table.add_row(f"not located: {told(outcome.name)}", f"{count:.0f}")
-    return Told({"seed": seed, **found}, [table])
+    if draws < 1:
+        raise InputError(f"--draws {draws}: at least 1")
+    name, settings = loaded(scenario, seed=seed)
+    large = nodes is not None and nodes > MOST_NODES
+    settings = settings if large else with_network(settings, scenario, nodes)
+    folder, silent = output_folder(out or Path(f"fleetalign-localize-{name}")), quiet or as_json
+    if nodes is not None and large:
+        with progress_bar(f"locating {nodes} nodes", silent) as progress:
+            told = study_scale(nodes, settings.seed, progress)
+    else:
+        flight = flown(settings, no_cache, silent)
+        command = command_as_typed()
+        with progress_bar("localizing", silent) as progress:
+            told = study_fleet(name, settings, flight, draws, folder / "localize.html", command, progress)
+    write_json(folder / "localize.json", told.summary)
+    if as_json:
+        typer.echo(json.dumps(told.summary, indent=2, allow_nan=False))
+    elif not quiet:
+        for part in told.parts:
+            out_console.print(part)
+        for path in sorted(folder.glob("localize.*")):
+            out_console.print(str(path), soft_wrap=True)

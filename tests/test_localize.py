@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from fleetalign.cosim import cli, localize_command
+from fleetalign.cosim import cli, localize_studies
 from fleetalign.cosim.localize import LocalizeStudy, run_study
 from fleetalign.cosim.localize_flight import Figure3, flights, table_2
 from fleetalign.cosim.localize_paper import (
@@ -293,7 +293,7 @@ def command(monkeypatch, capfd):
 
 def test_the_command_writes_a_page_and_its_data(command, tmp_path, monkeypatch):
     few = partial(LocalizeStudy, figure_2_draws=1, figure_3_s=5.0)
-    monkeypatch.setattr(localize_command, "LocalizeStudy", few)
+    monkeypatch.setattr(localize_studies, "LocalizeStudy", few)
     status, out, _ = command("localize", "--draws", 2, "--nodes", 16, "--seed", 3, "--out", tmp_path / "new")
     assert status == 0
     assert {path.name for path in (tmp_path / "new").iterdir()} == {"localize.json", "localize.html"}

@@ -1,0 +1,153 @@
+"""The command `run`. What is heavy is imported when it runs, so that the help is quick."""
+
+import json
+import subprocess
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .command_line import (
+    AsJson,
+    InputError,
+    NoCache,
+    OutFolder,
+    Quiet,
+    ScenarioArgument,
+    command_as_typed,
+    flown,
+    loaded,
+    output_folder,
+)
+from .terminal import deferred_interrupt, error_console, out_console, progress_bar, results_table
+
+if TYPE_CHECKING:
+    from ..network.fixes import Fixes
+    from .run import Run
+
+
+def run(
+    scenario: ScenarioArgument = "gao2009",
+    runs: Annotated[int | None, typer.Option(help="Number of runs; the scenario's by default.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of all runs; the scenario's by default.")] = None,
+    filter_: Annotated[
+        list[str] | None, typer.Option("--filter", help="Filter to run; may be given again.")
+    ] = None,
+    variants: Annotated[
+        bool, typer.Option("--variants", help="Run the scenario's variants as well, for one table.")
+    ] = False,
+    out: OutFolder = None,
+    view: Annotated[bool, typer.Option("--view", help="Open the recording in the Rerun viewer.")] = False,
+    no_cache: NoCache = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Fly a scenario, align on it many times, and write summary, estimates, recording and report."""
+    from ..aircraft.cache import is_cached
+    from .network_score import NetworkScorer
+    from .outputs import estimates_writer, manifest, summarize, write_json
+    from .recording import write_recording
+    from .report import write_report
+    from .run import (
+        BOUND_DRAWS,
+        alignment_window,
+        bound_of,
+        compiling_ahead,
+        no_bound_because,
+        simulate_all,
+    )
+    from .scenario import ScenarioError
+    from .score import Scorer, standard_deviations
+    from .variants import run_variants
+
+    name, settings = loaded(scenario, runs, seed, filter_)
+    if variants and not settings.variants:
+        raise InputError(f"--variants: {scenario} has none")
+    folder = output_folder(out or Path(f"fleetalign-{name}"))
+    silent = quiet or as_json
+    flown_before = is_cached(settings.flight) and not no_cache
+    with nullcontext() if flown_before else compiling_ahead():
+        flight = flown(settings, no_cache, silent)
+    try:
+        window = alignment_window(settings, flight)
+    except ScenarioError as error:
+        raise ScenarioError(f"{scenario}: {error}") from error
+    scorer, network = Scorer(window, settings.alignment.filters), NetworkScorer()
+    first: Run | None = None
+    fixes: list[Fixes] = []
+    done = 0
+    with (
+        deferred_interrupt() as interrupted,
+        progress_bar("aligning", silent) as progress,
+        estimates_writer(folder / "estimates.parquet", window, settings.imu.vibration_mps) as estimates,
+    ):
+        for done_run in simulate_all(settings, flight, settings.runs, settings.seed, progress):
+            first = first or done_run
+            scorer.add(done_run)
+            if done_run.network is not None:
+                network.add(done_run.network)
+            if len(fixes) < BOUND_DRAWS:
+                fixes.append(done_run.fixes)
+            estimates.add(done_run)
+            done += 1
+            if interrupted():
+                error_console.print(f"stopped after {done} of {settings.runs} runs; these are kept")
+                break
+    assert first is not None
+    bound = bound_of(settings, window, fixes)
+    bound_sd = standard_deviations(window, bound, settings.imu.vibration_mps)
+    scores = scorer.scores()
+    network_score = network.score() if network.runs else None
+    summary = summarize(name, settings, settings.seed, flight, scores, bound_sd, network_score)
+    if variants and done == settings.runs:
+        with progress_bar("variants", silent) as progress:
+            summary["variants"] = run_variants(settings, flight, progress)
+    write_json(folder / "summary.json", summary)
+    command = command_as_typed()
+    about = manifest(name, settings, settings.seed, done, command)
+    write_json(folder / "manifest.json", about)
+    with progress_bar("recording and report", silent) as progress:
+        write_recording(
+            folder / "recording.rrd",
+            settings.title,
+            flight,
+            window,
+            first,
+            bound,
+            settings.imu.vibration_mps,
+        )
+        progress(1, 2)
+        write_report(
+            folder / "report.html",
+            settings,
+            flight,
+            window,
+            scores,
+            bound_sd,
+            summary,
+            about,
+            (first.network, network_score) if first.network is not None and network_score else None,
+        )
+        progress(2, 2)
+    if as_json:
+        typer.echo(json.dumps(summary, indent=2, allow_nan=False))
+    elif not quiet:
+        out_console.print(results_table(settings, summary))
+        reason = no_bound_because(settings)
+        if reason:
+            out_console.print(f"no bound: {reason}")
+        for filter_name, score in scores.items():
+            for run_id, reason in score.failures.items():
+                out_console.print(f"failed {filter_name}, run {run_id}: {reason}", style="red")
+        for line in settings.paper.remarks if settings.paper else ():
+            out_console.print(f"- {line}")
+        out_console.print(f"report     {folder / 'report.html'}", soft_wrap=True)
+        out_console.print(f"recording  {folder / 'recording.rrd'}", soft_wrap=True)
+    if view:
+        subprocess.Popen(
+            [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(folder / "recording.rrd")]
+        )
+    if done < settings.runs:
+        raise typer.Exit(1)
