@@ -32,18 +32,26 @@ def factorize(A):
             for j in range(k, n):
                 A[k, j] *= scale
             for i in range(k + 1, end):
-                f = A[k, i]
-                for j in range(i, n):
-                    A[i, j] -= f * A[k, j]
-        if end - first < _PIVOTS:
-            continue
-        for i in range(end, n):
-            f0, f1, f2, f3 = A[first, i], A[first + 1, i], A[first + 2, i], A[first + 3, i]
-            for j in range(i, n):
-                A[i, j] -= (
-                    f0 * A[first, j] + f1 * A[first + 1, j] + f2 * A[first + 2, j] + f3 * A[first + 3, j]
-                )
+                _take(A[i, i:], A[k, i], A[k, i:])
+        if end - first == _PIVOTS:
+            for i in range(end, n):
+                _take_four(A[i, i:], A[first, i:], A[first + 1, i:], A[first + 2, i:], A[first + 3, i:])
     return True
+
+
+@njit(**COMPILED)
+def _take(row, factor, other):
+    """``row -= factor * other``; of rows that are passed on as such the compiler knows the strides."""
+    for j in range(len(row)):
+        row[j] -= factor * other[j]
+
+
+@njit(**COMPILED)
+def _take_four(row, a, b, c, d):
+    """The same for four others, whose factors are their first elements."""
+    f0, f1, f2, f3 = a[0], b[0], c[0], d[0]
+    for j in range(len(row)):
+        row[j] -= f0 * a[j] + f1 * b[j] + f2 * c[j] + f3 * d[j]
 
 
 @njit(**COMPILED)
@@ -52,23 +60,24 @@ def substitute(U, b):
     n = len(U)
     for k in range(n):
         b[k] /= U[k, k]
-        f = b[k]
-        for j in range(k + 1, n):
-            b[j] -= f * U[k, j]
+        _take(b[k + 1 :], b[k], U[k, k + 1 :])
     for k in range(n - 1, -1, -1):
-        # Four sums side by side: one alone would wait for itself at every term.
-        s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
-        j = k + 1
-        while j + 3 < n:
-            s0 += U[k, j] * b[j]
-            s1 += U[k, j + 1] * b[j + 1]
-            s2 += U[k, j + 2] * b[j + 2]
-            s3 += U[k, j + 3] * b[j + 3]
-            j += 4
-        while j < n:
-            s0 += U[k, j] * b[j]
-            j += 1
-        b[k] = (b[k] - ((s0 + s1) + (s2 + s3))) / U[k, k]
+        b[k] = (b[k] - product(U[k, k + 1 :], b[k + 1 :])) / U[k, k]
+
+
+@njit(**COMPILED)
+def product(a, b):
+    """Sum of ``a * b``, as four sums side by side: one alone would wait for itself at every term."""
+    n = len(a)
+    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+    for j in range(0, n - 3, 4):
+        s0 += a[j] * b[j]
+        s1 += a[j + 1] * b[j + 1]
+        s2 += a[j + 2] * b[j + 2]
+        s3 += a[j + 3] * b[j + 3]
+    for j in range(n - n % 4, n):
+        s0 += a[j] * b[j]
+    return (s0 + s1) + (s2 + s3)
 
 
 @njit(**COMPILED)

@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 
 from ...sins._kernels import COMPILED
-from ._cholesky import factorize, substitute
+from ._cholesky import factorize, product, substitute
 from .problem import Array, Integers
 
 SQUARED, HUBER, ONE_SIDED = 0, 1, 2
@@ -72,34 +72,28 @@ def robust(t, loss, threshold):
 
 
 @njit(**COMPILED)
-def link(S, terms, m, u, q):
-    """Residuals of link m with their weights and costs; their derivatives by the state of its first node
-    are ``u`` (range) and ``q`` (rate), shape (B,)."""
-    i, j = terms.links[m, 0], terms.links[m, 1]
+def sight(S, i, j, rated, clocks):
+    """What node i should measure of node j: the direction from j to i, range and range rate, and the
+    derivative of the rate by the position of i.
+
+    Scalars alone go in and out: arrays cost more to hand over than all of this.
+    """
     x, y, z = S[i, 0] - S[j, 0], S[i, 1] - S[j, 1], S[i, 2] - S[j, 2]
     d = math.sqrt(x * x + y * y + z * z)
     # Nodes at one place have no direction to each other: to first order their range tells nothing.
     inverse = 1 / d if d > 0 else 0.0
     x, y, z = x * inverse, y * inverse, z * inverse
-    u[0], u[1], u[2] = x, y, z
-    r1 = terms.ranges[m] - d
-    if terms.clocks:
-        r1 -= S[i, 3] - S[j, 3]
-        u[3] = 1.0
-    cost, weight = robust(r1 * math.sqrt(terms.w_range[m]), terms.loss, terms.threshold)
-    r2, w2 = 0.0, 0.0
-    if len(terms.rates) > 0:
-        V = 4 if terms.clocks else 3
+    rate, qx, qy, qz = 0.0, 0.0, 0.0, 0.0
+    if rated:
+        V = 4 if clocks else 3
         vx, vy, vz = S[i, V] - S[j, V], S[i, V + 1] - S[j, V + 1], S[i, V + 2] - S[j, V + 2]
-        along = x * vx + y * vy + z * vz
-        r2, w2 = terms.rates[m] - along, terms.w_rate[m]
-        q[0], q[1], q[2] = (vx - along * x) * inverse, (vy - along * y) * inverse, (vz - along * z) * inverse
-        q[V], q[V + 1], q[V + 2] = x, y, z
-        if terms.clocks:
-            r2 -= S[i, 7] - S[j, 7]
-            q[7] = 1.0
-        cost += 0.5 * w2 * r2 * r2
-    return cost, terms.w_range[m] * weight, r1, w2, r2
+        rate = x * vx + y * vy + z * vz
+        qx, qy, qz = (vx - rate * x) * inverse, (vy - rate * y) * inverse, (vz - rate * z) * inverse
+    if clocks:
+        d += S[i, 3] - S[j, 3]
+        if rated:
+            rate += S[i, 7] - S[j, 7]
+    return x, y, z, d, rate, qx, qy, qz
 
 
 @njit(**COMPILED)
@@ -114,29 +108,52 @@ def evaluate(S, place, terms, A, g):
     A[:] = 0.0
     g[:] = 0.0
     cost = 0.0
-    u, q, block = np.zeros(B), np.zeros(B), np.zeros((B, B))
-    for m in range(len(terms.links)):
-        if terms.w_range[m] == 0:
+    links, ranges, rates = terms.links, terms.ranges, terms.rates
+    w_range, w_rate = terms.w_range, terms.w_rate
+    clocks, loss, threshold = terms.clocks, terms.loss, terms.threshold
+    rated = len(rates) > 0
+    V = 4 if clocks else 3
+    # Derivatives of range and rate by the state of the first node; the zeros and ones in them stay.
+    u, q = np.zeros(B), np.zeros(B)
+    if clocks:
+        u[3] = 1.0
+        if rated:
+            q[7] = 1.0
+    for m in range(len(links)):
+        w1 = w_range[m]
+        if w1 == 0:
             continue
-        share, w1, r1, w2, r2 = link(S, terms, m, u, q)
-        cost += share
-        i, j = place[terms.links[m, 0]] * B, place[terms.links[m, 1]] * B
-        for a in range(B):
-            pull = w1 * r1 * u[a] + w2 * r2 * q[a]
-            if i >= 0:
-                g[i + a] += pull
-            if j >= 0:
-                g[j + a] -= pull
-        if with_matrix:
+        x, y, z, distance, rate, qx, qy, qz = sight(S, links[m, 0], links[m, 1], rated, clocks)
+        u[0], u[1], u[2] = x, y, z
+        r1 = ranges[m] - distance
+        share, weight = robust(r1 * math.sqrt(w1), loss, threshold)
+        w1 *= weight
+        r2, w2 = 0.0, 0.0
+        if rated:
+            q[0], q[1], q[2] = qx, qy, qz
+            q[V], q[V + 1], q[V + 2] = x, y, z
+            r2, w2 = rates[m] - rate, w_rate[m]
+        cost += share + 0.5 * w2 * r2 * r2
+        i, j = place[links[m, 0]] * B, place[links[m, 1]] * B
+        f1, f2 = w1 * r1, w2 * r2
+        if i >= 0:
             for a in range(B):
+                g[i + a] += f1 * u[a] + f2 * q[a]
+        if j >= 0:
+            for a in range(B):
+                g[j + a] -= f1 * u[a] + f2 * q[a]
+        if with_matrix:
+            upper, lower = min(i, j), max(i, j)
+            for a in range(B):
+                ua, qa = w1 * u[a], w2 * q[a]
                 for b in range(B):
-                    block[a, b] = w1 * u[a] * u[b] + w2 * q[a] * q[b]
-            if i >= 0:
-                _add(A, i, i, block, 1.0)
-            if j >= 0:
-                _add(A, j, j, block, 1.0)
-            if i >= 0 and j >= 0:
-                _add(A, min(i, j), max(i, j), block, -1.0)
+                    term = ua * u[b] + qa * q[b]
+                    if i >= 0:
+                        A[i + a, i + b] += term
+                    if j >= 0:
+                        A[j + a, j + b] += term
+                    if upper >= 0:
+                        A[upper + a, lower + b] -= term
     for k in range(n):
         i = place[k] * B
         for a in range(B):
@@ -158,13 +175,6 @@ def evaluate(S, place, terms, A, g):
                         for b in range(3):
                             A[i + a, i + b] += w * u[a] * u[b]
     return cost
-
-
-@njit(**COMPILED)
-def _add(A, row, column, block, sign):
-    for a in range(len(block)):
-        for b in range(len(block)):
-            A[row + a, column + b] += sign * block[a, b]
 
 
 @njit(**COMPILED)
@@ -191,9 +201,9 @@ def minimize(S, place, terms, floor, damping, max_iterations, tolerance, A, g):
     """Levenberg-Marquardt on ``S`` in place, with the normal equations of `evaluate` and `support`.
 
     Steps without damping go on with the same factor for as long as they shrink quickly. It ends when a step,
-    in standard deviations over all unknowns, is below ``tolerance``. Returns the cost, the number of factors
-    made, and whether it converged; ``A`` holds the last of them, made at a point before the end, and damped
-    if it had to be.
+    in standard deviations over all unknowns, is below ``tolerance``. Returns the cost before that step, the
+    number of factors made, and whether it converged; ``A`` holds the last of them, made at a point before the
+    end, and damped if it had to be.
     """
     new_cost = np.inf
     no_matrix, step, new_g = np.empty((0, 0)), np.empty_like(g), np.empty_like(g)
@@ -206,7 +216,7 @@ def minimize(S, place, terms, floor, damping, max_iterations, tolerance, A, g):
             step[:] = g
             if factorize(A):
                 substitute(A, step)
-                decrement = _product(g, step)
+                decrement = product(g, step)
                 after = moved(S, place, step)
                 new_cost = evaluate(after, place, terms, no_matrix, new_g)
                 # So close to the end rounding alone may raise the cost.
@@ -221,24 +231,17 @@ def minimize(S, place, terms, floor, damping, max_iterations, tolerance, A, g):
         while damping == 0:
             step[:] = new_g
             substitute(A, step)
-            before, decrement = decrement, _product(new_g, step)
+            before, decrement = decrement, product(new_g, step)
             if decrement > _SHRINKING * before:
                 break
+            if decrement <= tolerance**2:
+                S[:] = moved(S, place, step)
+                return new_cost, iteration, True
             after = moved(S, place, step)
             trial = evaluate(after, place, terms, no_matrix, new_g)
-            if trial > new_cost and decrement > tolerance**2:
+            if trial > new_cost:
                 break
             S[:] = after
             new_cost = trial
-            if decrement <= tolerance**2:
-                return new_cost, iteration, True
         damping = 0.1 * damping if damping > 1e-5 else 0.0
     return new_cost, max_iterations, False
-
-
-@njit(**COMPILED)
-def _product(a, b):
-    total = 0.0
-    for k in range(len(a)):
-        total += a[k] * b[k]
-    return total

@@ -11,7 +11,7 @@ from numba import njit
 
 from ...sins._kernels import COMPILED
 from ._cholesky import covariance_blocks, factorize
-from ._dense import Terms, evaluate, link, minimize, support
+from ._dense import Terms, evaluate, minimize, sight, support
 
 _MOST_MISFIT = 9.0
 """A few ranges without line of sight are no contradiction, however long they are."""
@@ -119,14 +119,16 @@ def _misfits(S, terms, misfit, residuals, neighbours):
     misfit[:] = 0.0
     residuals[:] = 0
     neighbours[:] = 0
-    u, q = np.zeros(S.shape[1]), np.zeros(S.shape[1])
-    for m in range(len(terms.links)):
-        if terms.w_range[m] == 0:
+    links, ranges, rates = terms.links, terms.ranges, terms.rates
+    w_range, w_rate = terms.w_range, terms.w_rate
+    for m in range(len(links)):
+        if w_range[m] == 0:
             continue
-        _, _, r1, w2, r2 = link(S, terms, m, u, q)
-        size = min(terms.w_range[m] * r1 * r1, _MOST_MISFIT) + w2 * r2 * r2
+        _, _, _, distance, rate, _, _, _ = sight(S, links[m, 0], links[m, 1], True, terms.clocks)
+        w2, r1, r2 = w_rate[m], ranges[m] - distance, rates[m] - rate
+        size = min(w_range[m] * r1 * r1, _MOST_MISFIT) + w2 * r2 * r2
         for end in range(2):
-            i = terms.links[m, end]
+            i = links[m, end]
             misfit[i] += size
             residuals[i] += 2 if w2 > 0 else 1
             neighbours[i] += 1
