@@ -116,7 +116,7 @@ def run_study(study: LocalizeStudy, progress: Progress | None = None) -> Localiz
         records=first,
         equations=equations_table(by_method),
         figure_2=figure_2_of(by_error),
-        figure_3=figure_3_of(dict(flown), study.network.fleet.anchor_position_sd_m),
+        figure_3=figure_3_of(dict(flown), study.network),
     )
 
 

@@ -44,6 +44,8 @@ class Figure3:
     """(3,) m, of the own ship from the ranges of one instant: root of the mean variance over the flight."""
     bound_with_baro: Array
     """(3,) m, the same with a barometric altitude."""
+    link_radius: float
+    """m"""
 
 
 def flights(network: FleetNetwork) -> dict[str, FleetNetwork]:
@@ -77,10 +79,10 @@ def figure_3(
     return in_order(work, list(flights(network).items()))
 
 
-def figure_3_of(records: dict[str, NetworkRecord], anchor_sd: float) -> Figure3:
-    """The curves of `figure_3`'s records; ``anchor_sd`` m, for the bound."""
+def figure_3_of(records: dict[str, NetworkRecord], network: FleetNetwork) -> Figure3:
+    """The curves of `figure_3`'s records of a network."""
     first = next(iter(records.values()))
-    bounds, ranges = zip(*_bounds(first, anchor_sd), strict=True)
+    bounds, ranges = zip(*_bounds(first, network.fleet.anchor_position_sd_m), strict=True)
     bound, with_baro = np.sqrt(mean_known(bounds))
     return Figure3(
         time=first.time - first.time[0],
@@ -89,6 +91,7 @@ def figure_3_of(records: dict[str, NetworkRecord], anchor_sd: float) -> Figure3:
         range=float(mean_known(ranges)),
         bound=bound,
         bound_with_baro=with_baro,
+        link_radius=network.radio.link_radius_m,
     )
 
 

@@ -1,5 +1,6 @@
 """What `localize` leaves: `localize.json`, `localize.html`, and its tables on the terminal."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -58,10 +59,7 @@ def summarize(name: str, study: LocalizeStudy, results: LocalizeResults) -> dict
                 "table_2": table_2(three),
                 "paper": TABLE_2,
             },
-            "verdicts": [
-                {"statement": v.statement, "rule": v.rule, "reproduced": v.reproduced, "why": v.why}
-                for v in verdicts
-            ],
+            "verdicts": [asdict(v) | {"line": v.line} for v in verdicts],
         }
     )
 
@@ -188,11 +186,3 @@ def localize_tables(title: str, summary: dict[str, Any]) -> list[Table]:
         node = number(method["node_over_crlb"], 3)
         methods.add_row(method["method"], ratio, node, percent(method["coverage"], 1))
     return [indicators, methods]
-
-
-def verdict_lines(summary: dict[str, Any]) -> list[str]:
-    """One line for each statement of the paper."""
-    return [
-        f"{'Reproduced' if v['reproduced'] else 'Not reproduced'}: {v['statement']}. {v['why']}"
-        for v in summary["verdicts"]
-    ]

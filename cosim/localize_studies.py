@@ -14,7 +14,7 @@ from ..network.fleet_network import FleetNetwork
 from ..network.localization.large import LINK_RADIUS_M, RANGE_SD_M, large_study
 from ..network.localization.problem import NodeOutcome
 from .localize import LocalizeStudy, Progress, run_study
-from .localize_report import localize_tables, summarize, verdict_lines, write_localize
+from .localize_report import localize_tables, summarize, write_localize
 from .network_score import plain
 from .run import alignment_window
 from .scenario import Scenario, ScenarioError, replaced
@@ -66,7 +66,7 @@ def study_fleet(
     results = run_study(study, progress)
     summary = summarize(name, study, results)
     write_localize(page, scenario.title, results, summary, command)
-    lines = [Text(f"- {line}") for line in verdict_lines(summary)]
+    lines = [Text(f"- {verdict['line']}") for verdict in summary["verdicts"]]
     return Told(summary, [*localize_tables(scenario.title, summary), *lines])
 
 

@@ -22,7 +22,7 @@ from fleetalign.cosim.localize_paper import (
     figure_2,
     figure_2_of,
 )
-from fleetalign.cosim.localize_report import indicator_rows, summarize, verdict_lines
+from fleetalign.cosim.localize_report import indicator_rows, summarize
 from fleetalign.cosim.localize_verdicts import TABLE_2, figure_2_verdicts, figure_3_verdicts
 from fleetalign.cosim.network_score import plain
 from fleetalign.cosim.parallel import in_order
@@ -201,8 +201,27 @@ def test_one_radius_has_to_give_all():
     *_, ratio, all_ = figure_2_verdicts(figure)
     assert ratio.reproduced
     assert not all_.reproduced
-    assert "5 km and 20 km and 50 km" in ratio.why
-    assert "not reproduced" in all_.line.lower()
+    assert ratio.line.startswith("Reproduced at 5 km and 20 km and 50 km alone: an error under DMDG")
+    assert "4.0 at 5 km (+0.0 %), 9.0 at 10 km (+125 %)" in ratio.why
+    assert all_.line.startswith("Not reproduced at any radius: ")
+    assert "DMDG's error fits at 10 km alone." in all_.why
+
+
+def test_a_verdict_tells_how_far_off_the_paper_it_is():
+    figure = a_figure_2()
+    figure.relative["dmdg"][:, 0] = [0.0143, 0.0117, 0.13, np.nan]
+    figure.coverage["dmdg"][3, 5] = 0.86
+    figure.coverage["leach"][:, -1] = [0.8532, 0.7031, 0.95, 0.0]
+    full, error, leach, _, all_ = figure_2_verdicts(figure)
+    assert "100.0 % at 20 km (+0.0 points), 86.0 % at 50 km (-14.0 points)" in full.why
+    assert full.where == "at 5 km"
+    assert (error.reproduced, error.where) == (True, "at 5 km and 10 km alone")
+    assert error.why.startswith("It is 1.4 % at 5 km (+10.0 %), 1.2 % at 10 km (-10.0 %), 13.0 % at 20 km")
+    assert error.why.endswith(" 20 km (+900 %), undefined at 50 km.")
+    assert leach.where == "at 5 km alone"
+    assert "85.3 % at 5 km (+5.0 points), 70.3 % at 10 km (-10.0 points)" in leach.why
+    assert all_.where == "at 5 km alone"
+    assert "The ratio of errors fits at every radius." in all_.why
 
 
 def a_figure_3(*sd: float, high: float = 10.7) -> Figure3:
@@ -210,18 +229,21 @@ def a_figure_3(*sd: float, high: float = 10.7) -> Figure3:
     noise = rng.standard_normal((5000, 3))
     error = {"ranges alone": noise * sd, "ranges and altitude": noise * [*sd[:2], high]}
     rmse = {name: np.abs(e) for name, e in error.items()}
-    return Figure3(np.arange(5000.0), error, rmse, 16e3, np.array(sd), np.array([*sd[:2], high]))
+    return Figure3(np.arange(5000.0), error, rmse, 16e3, np.array(sd), np.array([*sd[:2], high]), 50e3)
 
 
 def test_table_2_is_judged_by_axis():
     x, y, z, sizes = figure_3_verdicts(a_figure_3(9.8, 13.3, 47.0))
     assert (x.reproduced, y.reproduced, z.reproduced) == (True, True, False)
-    assert "bound of one instant 47.0 m" in z.why
+    assert x.where == "by ranges alone, on one fleet with links to 50 km"
+    off = np.sqrt(np.mean(a_figure_3(9.8, 13.3, 47.0).error["ranges alone"][:, 2] ** 2)) / 10.675 - 1
+    assert f"m (+{100 * off:.0f} %; bound of one instant 47.0 m)" in z.why
     assert "it takes another measurement" in z.why
     assert z.why.count("With the altitude it fits") == 1
     # The paper's RMSE over its absolute error is about twice that of a normal error.
     assert not sizes.reproduced
     assert "2.42, 1.98, 2.54 there and 1.2" in sizes.why
+    assert " 1.25 (-36." in sizes.why
     _, _, z, _ = figure_3_verdicts(a_figure_3(9.8, 13.3, 10.0))
     assert z.reproduced
     assert "another measurement" not in z.why
@@ -264,7 +286,8 @@ def test_a_study_holds_both_protocols(study, results):
     assert three["bound_m"]["ranges and altitude"][2] < 11
     names = [name for name, _, _ in indicator_rows(summary)]
     assert {"coverage", "RMSE / CRLB", "time synchronism", "link consumption"} <= set(names)
-    assert len(verdict_lines(summary)) == 9
+    assert len(summary["verdicts"]) == 9
+    assert all(verdict["line"].endswith(".") for verdict in summary["verdicts"])
 
 
 def test_the_same_study_gives_the_same_results_on_one_core(study, flight, results, monkeypatch):
@@ -301,7 +324,7 @@ def test_the_command_writes_a_page_and_its_data(command, tmp_path, monkeypatch):
     assert (summary["scenario"], summary["seed"], summary["draws"]) == ("gao2009", 3, 2)
     assert summary["nodes"] == 16
     assert "RMSE / CRLB" in out
-    assert "eproduced: DMDG covers all nodes" in " ".join(out.split())
+    assert "eproduced at 5 km: DMDG covers all nodes" in " ".join(out.split())
     html = (tmp_path / "new/localize.html").read_text("utf-8")
     assert html.count("<svg") >= 5
     assert "<script" not in html
