@@ -52,6 +52,10 @@ class Gains(Settings):
     """Aileron per roll-rate error in rad/s."""
     roll_rate_integral: float = Field(ge=0, le=50)
     """Aileron rate per roll-rate error in rad/s."""
+    aileron_forward_s: float = Field(default=0.0, ge=0, le=20)
+    """Aileron per roll rate asked for, rad/s, that a bank profile feeds forward."""
+    elevator_forward_per_g: float = Field(default=0.0, ge=0, le=2)
+    """Elevator per load factor above 1 of the turn, g, that a bank profile feeds forward."""
     turn_rudder_s: float = Field(ge=-50, le=50)
     """Rudder per turn rate ``g sin(bank) / V``, rad/s: it works against a yaw damper without washout."""
     runway_steer: float = Field(ge=-20, le=20)

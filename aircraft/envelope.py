@@ -1,10 +1,10 @@
 """The envelope monitor: ends a flight that leaves what its airframe and plan allow."""
 
-from math import degrees, isfinite, pi, radians
+from math import cos, degrees, isfinite, pi, radians
 
 from .airframe import Airframe
 from .guidance import MAX_BANK_SHARE, Sensed
-from .mission import FlightPlan
+from .mission import BankProfile, FlightPlan, SManeuver
 from .phases import MissionPhase
 
 ALTITUDE_BUST_M = 50.0
@@ -29,22 +29,39 @@ class FlightError(RuntimeError):
         self.reason = reason
 
 
+def _beyond_guidance(maneuver: SManeuver | BankProfile, airframe: Airframe) -> str | None:
+    """Why guidance may not fly the manoeuvre with this airframe, or None."""
+    limits, allows = airframe.limits, f"guidance allows the {airframe.name}"
+    allowed = MAX_BANK_SHARE * limits.bank_deg
+    if maneuver.bank_deg > allowed:
+        needs = (
+            f"{maneuver.lateral_acceleration_mps2:g} m/s^2 needs"
+            if isinstance(maneuver, SManeuver)
+            else "the bank profile needs"
+        )
+        return f"{needs} {maneuver.bank_deg:.1f} deg of bank, {allows} {allowed:.1f} deg"
+    if isinstance(maneuver, SManeuver):
+        return None
+    rate, load_factor = maneuver.roll_rate_deg_s, 1 / cos(radians(maneuver.bank_deg))
+    if rate > limits.roll_rate_deg_s + 1e-6:
+        most = limits.roll_rate_deg_s
+        return f"the bank profile needs a roll rate of {rate:.1f} deg/s, {allows} {most:.1f} deg/s"
+    if load_factor > limits.load_factor_max_g:
+        return f"the bank profile needs {load_factor:.1f} g, {allows} {limits.load_factor_max_g:g} g"
+    return None
+
+
 class Envelope:
     """Watches one flight."""
 
     def __init__(self, plan: FlightPlan, airframe: Airframe) -> None:
-        """Raises FlightError for an S-manoeuvre steeper than guidance may bank this airframe."""
+        """Raises FlightError for a manoeuvre steeper or quicker than guidance may bank this airframe."""
         self.plan = plan
         self.limits = airframe.limits
         self.heading = radians(plan.start.heading_deg)
-        asked, allowed = plan.s_maneuver.bank_deg, MAX_BANK_SHARE * airframe.limits.bank_deg
-        if asked > allowed:
-            raise FlightError(
-                "s_maneuver",
-                plan.s_start_s,
-                f"{plan.s_maneuver.lateral_acceleration_mps2:g} m/s^2 needs {asked:.1f} deg"
-                f" of bank, guidance allows the {airframe.name} {allowed:.1f} deg",
-            )
+        reason = _beyond_guidance(plan.s_maneuver, airframe)
+        if reason:
+            raise FlightError("s_maneuver", plan.s_start_s, reason)
 
     def check(self, phase: MissionPhase, t: float, elapsed: float, s: Sensed) -> None:
         """Raises FlightError when the state at ``t``, ``elapsed`` s into the phase, is outside."""

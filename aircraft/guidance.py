@@ -60,7 +60,8 @@ class Sensed:
 class Target:
     """What a mission phase wants. Without ``altitude`` the pitch is held; without both the elevator rests.
 
-    Without ``bank`` the heading is held. ``bank_rate`` is fed forward, rad/s.
+    Without ``bank`` the heading is held. ``bank_rate`` is fed forward, rad/s; ``forward`` has guidance feed
+    the surfaces forward as well that the roll rate and the lift of the turn take, as quick turns need.
     """
 
     speed: float
@@ -69,6 +70,7 @@ class Target:
     pitch: float | None = None
     bank: float | None = None
     bank_rate: float = 0.0
+    forward: bool = False
     on_runway: bool = False
 
 
@@ -137,7 +139,10 @@ class Guidance:
             self.elevator_integral + gains.pitch_rate_integral * error * self.dt, INTEGRAL_LIMIT
         )
         # JSBSim's elevator is negative for nose up.
-        return -clipped(scale * (gains.pitch_rate_s * error + self.elevator_integral), 1.0)
+        elevator = gains.pitch_rate_s * error + self.elevator_integral
+        if target.forward:
+            elevator += gains.elevator_forward_per_g * (1 / max(cos(s.roll), 0.2) - 1)
+        return -clipped(scale * elevator, 1.0)
 
     def _vertical_acceleration(self, s: Sensed, altitude: float) -> float:
         if self.climb_rate is None:
@@ -170,7 +175,10 @@ class Guidance:
             self.aileron_integral = clipped(
                 self.aileron_integral + gains.roll_rate_integral * error * self.dt, INTEGRAL_LIMIT
             )
-        return clipped(scale * (gains.roll_rate_s * error + self.aileron_integral), 1.0)
+        aileron = gains.roll_rate_s * error + self.aileron_integral
+        if target.forward:
+            aileron += gains.aileron_forward_s * target.bank_rate
+        return clipped(scale * aileron, 1.0)
 
     def _yaw(self, s: Sensed, target: Target) -> tuple[float, float]:
         """Rudder and nose wheel."""

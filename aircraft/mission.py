@@ -1,9 +1,11 @@
-"""The mission's settings: take-off, climb, level flight, S-manoeuvre, and the air it is flown in."""
+"""The mission's settings: take-off, climb, level flight, manoeuvre, and the air it is flown in."""
 
 from enum import StrEnum
+from itertools import pairwise
 from math import atan, degrees, lcm
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from ..sins.earth import STANDARD_GRAVITY
 from ..sins.settings import Settings
@@ -39,6 +41,7 @@ class SManeuver(Settings):
     ends near zero whatever the phase.
     """
 
+    kind: Literal["s"] = "s"
     duration_s: float = Field(default=40.0, ge=5, le=40)
     lateral_acceleration_mps2: float = Field(default=6.0, ge=0, le=25)
     """Peak; the bank is ``atan(a / g)``."""
@@ -50,6 +53,59 @@ class SManeuver(Settings):
     def bank_deg(self) -> float:
         """Peak bank."""
         return degrees(atan(self.lateral_acceleration_mps2 / STANDARD_GRAVITY))
+
+
+class BankProfile(Settings):
+    """A bank flown by the clock in the place of the S: straight lines between knots, from zero to zero."""
+
+    kind: Literal["bank_profile"] = "bank_profile"
+    times_s: tuple[float, ...] = Field(min_length=3, max_length=4001)
+    """From the start of the manoeuvre; the first is 0, the last, its duration, at least 5 and at most 40."""
+    banks_deg: tuple[float, ...]
+    """Positive with the right wing down; the first and the last are 0."""
+
+    @model_validator(mode="after")
+    def _can_be_followed(self) -> "BankProfile":
+        times, banks = self.times_s, self.banks_deg
+        if len(times) != len(banks):
+            raise ValueError(f"times_s has {len(times)} values and banks_deg has {len(banks)}")
+        if times[0] != 0 or not 5 <= times[-1] <= 40:
+            raise ValueError(f"times_s from {times[0]:g} to {times[-1]:g} s: from 0 to within [5, 40] s")
+        for before, after in pairwise(times):
+            if after - before < 0.01 - 1e-9:
+                raise ValueError(f"times_s: {after:g} s after {before:g} s; knots are at least 0.01 s apart")
+        if banks[0] != 0 or banks[-1] != 0:
+            raise ValueError(f"banks_deg from {banks[0]:g} to {banks[-1]:g} deg: both ends must be 0 deg")
+        if self.bank_deg > 85:
+            raise ValueError(f"banks_deg reaches {self.bank_deg:g} deg: allowed is [-85, 85] deg")
+        return self
+
+    @property
+    def duration_s(self) -> float:
+        """Of the whole profile."""
+        return self.times_s[-1]
+
+    @property
+    def bank_deg(self) -> float:
+        """Peak bank, either side."""
+        return max(map(abs, self.banks_deg))
+
+    @property
+    def roll_rate_deg_s(self) -> float:
+        """Peak roll rate, either way."""
+        knots = pairwise(zip(self.times_s, self.banks_deg, strict=True))
+        return max(abs(after[1] - before[1]) / (after[0] - before[0]) for before, after in knots)
+
+
+def _kind(maneuver: Any) -> Any:
+    return maneuver.get("kind", "s") if isinstance(maneuver, dict) else getattr(maneuver, "kind", None)
+
+
+Maneuver = Annotated[
+    Annotated[SManeuver, Tag("s")] | Annotated[BankProfile, Tag("bank_profile")],
+    Discriminator(_kind),
+]
+"""What is flown for the alignment, chosen by ``kind``; ``"s"`` need not be said."""
 
 
 class Turbulence(StrEnum):
@@ -79,8 +135,9 @@ class FlightPlan(Settings):
     """Everything that determines a flight: the same plan gives the same flight, bit for bit.
 
     Take-off from rest, climb to ``altitude_m``, level flight at ``speed_mps`` until ``s_start_s``, the
-    S-manoeuvre, and level flight for ``tail_s``. Gao et al., section 5.1: 1015 m, 200 m/s, an
-    alignment of at most 40 s; 500 s of localisation come before it. Times are seconds from brake release.
+    S-manoeuvre or a bank profile, and level flight on the first heading for ``tail_s``. Gao et al., section
+    5.1: 1015 m, 200 m/s, an alignment of at most 40 s; 500 s of localisation come before it. Times are
+    seconds from brake release.
     """
 
     airframe: str = "f16"
@@ -90,7 +147,8 @@ class FlightPlan(Settings):
     """Airspeed, relative to the air that moves with the steady wind."""
     s_start_s: float = Field(default=500.0, ge=60, le=3600)
     """Level flight must have settled by then."""
-    s_maneuver: SManeuver = SManeuver()
+    s_maneuver: Maneuver = SManeuver()
+    """An S, or a bank profile in its place."""
     tail_s: float = Field(default=5.0, ge=0, le=600)
     air: Air = Air()
     seed: int = Field(default=0, ge=0, le=2**31 - 1)

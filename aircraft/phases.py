@@ -6,10 +6,12 @@ from functools import cached_property
 from math import atan, cos, exp, inf, pi, radians, sin
 from typing import get_args
 
+import numpy as np
+
 from ..sins.earth import STANDARD_GRAVITY as G
 from .airframe import Airframe
 from .guidance import Sensed, Target
-from .mission import GUIDANCE_RATE_HZ, FlightPlan, SManeuver
+from .mission import GUIDANCE_RATE_HZ, BankProfile, FlightPlan, SManeuver
 
 GEAR_UP_HEIGHT = 10.0
 """Of the wheels over the runway, m."""
@@ -20,6 +22,9 @@ SETTLED = 0.5, 0.25, 0.1
 m, m/s, m/s."""
 MEAN_TIME = 10.0
 """Time constant of those means, s."""
+RATE_SPAN = 0.1
+"""To either side of now, s, over which a bank profile's roll rate is taken: at a knot it would jump, and the
+aileron with it, which shakes the load factor by 1 g."""
 
 
 @dataclass
@@ -118,21 +123,24 @@ class Level(_LevelTarget):
 
 @dataclass
 class SManeuverPhase(_LevelTarget):
-    """The S at constant altitude and speed, for its duration."""
+    """The S, or the bank profile in its place, at constant altitude and speed, for its duration."""
 
     name = "s_maneuver"
     limit_s = inf
 
     def target(self, t: float, s: Sensed) -> Target:
-        plan = self.plan
-        since = t - plan.s_start_s
-        bank, ahead = s_bank(plan.s_maneuver, since), s_bank(plan.s_maneuver, since + 0.02)
+        plan, maneuver, since = self.plan, self.plan.s_maneuver, t - self.plan.s_start_s
+        forward = isinstance(maneuver, BankProfile)
+        before, after = (-RATE_SPAN, RATE_SPAN) if forward else (0.0, 0.02)
+        bank = maneuver_bank(maneuver, since)
+        rise = maneuver_bank(maneuver, since + after) - maneuver_bank(maneuver, since + before)
         return Target(
             plan.speed_mps,
             s.heading,
             altitude=plan.altitude_m,
             bank=bank,
-            bank_rate=(ahead - bank) / 0.02,
+            bank_rate=rise / (after - before),
+            forward=forward,
         )
 
     def finished(self, t: float, s: Sensed) -> bool:
@@ -161,6 +169,13 @@ def s_bank(maneuver: SManeuver, t: float) -> float:
     window = 0.5 - 0.5 * cos(pi * edge)
     phase = 2 * pi * t / maneuver.period_s + radians(maneuver.phase_deg)
     return atan(window * maneuver.lateral_acceleration_mps2 * sin(phase) / G)
+
+
+def maneuver_bank(maneuver: SManeuver | BankProfile, t: float) -> float:
+    """Bank wanted ``t`` s after the start of whichever manoeuvre, rad."""
+    if isinstance(maneuver, SManeuver):
+        return s_bank(maneuver, t)
+    return radians(float(np.interp(t, maneuver.times_s, maneuver.banks_deg)))
 
 
 def mission_phases(plan: FlightPlan, airframe: Airframe) -> Iterator[MissionPhase]:

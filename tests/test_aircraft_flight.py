@@ -8,8 +8,8 @@ from fleetalign.aircraft import envelope, guidance, simulator
 from fleetalign.aircraft.airframe import airframe_names, load_airframe
 from fleetalign.aircraft.envelope import FlightError
 from fleetalign.aircraft.flight import Flight
-from fleetalign.aircraft.mission import Air, FlightPlan, SManeuver, Start, Turbulence
-from fleetalign.aircraft.phases import s_bank
+from fleetalign.aircraft.mission import Air, BankProfile, FlightPlan, SManeuver, Start, Turbulence
+from fleetalign.aircraft.phases import maneuver_bank, s_bank
 from fleetalign.aircraft.simulator import fly
 from fleetalign.sins import attitude
 
@@ -99,6 +99,69 @@ def test_steep_s_at_any_phase(name):
     altitude, speed = held(turning, "s_maneuver")
     assert np.abs(altitude).max() < 10.0
     assert np.abs(speed).max() < 2.0
+
+
+# One way and then the other at 59 deg, with rolls at 30 deg/s that start and stop at 30 deg/s^2 or less.
+TURNS = BankProfile(
+    times_s=(0, 0.5, 2.2, 2.7, 8, 8.5, 12.2, 12.7, 18, 18.5, 20.2, 20.7),
+    banks_deg=(0, 4, 55, 59, 59, 55, -55, -59, -59, -55, -4, 0),
+)
+
+
+@pytest.mark.parametrize("name", airframe_names())
+def test_a_bank_profile_is_followed(name):
+    plan = FlightPlan(airframe=name, s_start_s=145.0, s_maneuver=TURNS, tail_s=0.0, fdm_rate_hz=200)
+    turning = fly(plan)
+    altitude, speed = held(turning, "s_maneuver")
+    assert np.abs(altitude).max() < 10.0
+    assert np.abs(speed).max() < 3.0
+    s = turning.phase("s_maneuver")
+    assert s.end_s - s.start_s == pytest.approx(20.7, abs=0.03)
+    window = turning.window(s.start_s, s.end_s)
+    asked = np.degrees([maneuver_bank(TURNS, t - s.start_s) for t in window.time])
+    error = np.degrees(window.bank) - asked
+    # Without what is fed forward the bank lags by 8 deg and more.
+    assert np.abs(error).max() < 6.0
+    assert np.sqrt(np.mean(error**2)) < 2.5
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"banks_deg": (0, 10, 20, 0)}, "times_s has 3 values and banks_deg has 4"),
+        ({"times_s": (1, 10, 20)}, r"from 1 to 20 s: from 0 to within \[5, 40\] s"),
+        ({"times_s": (0, 10, 41)}, r"from 0 to 41 s: from 0 to within \[5, 40\] s"),
+        ({"times_s": (0, 21, 20)}, "20 s after 21 s; knots are at least 0.01 s apart"),
+        ({"banks_deg": (0, 10, 5)}, "from 0 to 5 deg: both ends must be 0 deg"),
+        ({"banks_deg": (0, -86, 0)}, "reaches 86 deg"),
+        ({"banks_deg": (0, float("nan"), 0)}, "finite number"),
+    ],
+)
+def test_a_bank_profile_that_makes_no_sense_is_refused(changes, told):
+    with pytest.raises(ValueError, match=told):
+        BankProfile(**{"times_s": (0, 10, 20), "banks_deg": (0, 30, 0)} | changes)
+
+
+@pytest.mark.parametrize(
+    ("profile", "reason"),
+    [
+        ({"times_s": (0, 10, 20), "banks_deg": (0, 64, 0)}, r"needs 64\.0 deg of bank, .* F-16 63\.0 deg"),
+        (
+            {"times_s": (0, 0.5, 20), "banks_deg": (0, 40, 0)},
+            r"of 80\.0 deg/s, .* F-16 60\.0 deg/s",
+        ),
+    ],
+)
+def test_a_bank_profile_beyond_the_airframe_is_refused_before_flight(profile, reason):
+    with pytest.raises(FlightError, match=reason):
+        fly(QUICK.model_copy(update={"s_maneuver": BankProfile(**profile)}))
+
+
+def test_a_turn_beyond_the_load_factor_is_refused_before_flight(monkeypatch):
+    with_airframe(monkeypatch, limits__load_factor_max_g=1.5)
+    steep = BankProfile(times_s=(0, 5, 10), banks_deg=(0, 50, 0))
+    with pytest.raises(FlightError, match=r"the bank profile needs 1\.6 g, guidance allows the F-16 1\.5 g"):
+        fly(QUICK.model_copy(update={"s_maneuver": steep}))
 
 
 def test_s_command_starts_and_ends_level():
