@@ -19,7 +19,6 @@ from ._kernels import (
     GATED,
     INITIALIZED,
     LATE,
-    N_STATES,
     N_X,
     PENDING,
     REFUSED,
@@ -32,14 +31,14 @@ from ._kernels import (
 
 @njit(**COMPILED)
 def _start(X, P, lla, v_n, cov, initial, sd):
-    """Take position and velocity from a fix, biases and delay as they were first; forget all correlations."""
+    """Take position and velocity from a fix, all but the attitude as it was first; forget all correlations."""
     for i in range(3):
         X[i], X[3 + i] = lla[i], v_n[i]
-    for i in range(7):
+    for i in range(10):
         X[10 + i] = initial[i]
     X[REFUSED] = 0.0
-    for i in range(N_STATES):
-        for j in range(N_STATES):
+    for i in range(len(P)):
+        for j in range(len(P)):
             P[i, j] = sd[i] * sd[i] if i == j else 0.0
     for i in range(6):
         # Diffuse against this fix, however bad it is.
@@ -62,26 +61,33 @@ def _carry_attitude(X, time, increments, k, q_initial, lla, v_n, gravity_model, 
         advance(X[0:3], X[3:6], X[6:10], increment, previous, dt, gravity_model, f_n)
 
 
-def working_memory(n_fixes, kept):
+def working_memory(n_fixes, kept, n_states):
     """Arrays that `align` works in: state, kept states, bookkeeping of the fixes, and steps' own.
 
     They are made here because array creation is slow to compile.
     """
-    predicting = ((9, 15), (9, N_STATES), (3, 3), 6, 6, 3, N_STATES)
-    updating = ((6, N_STATES), (N_STATES, 6), (6, 6), (6, 6), (N_STATES, 6), (N_STATES, 6))
-    updating = (*updating, (N_STATES, N_STATES), N_STATES)
     return (
         np.zeros(N_X),
-        np.zeros((N_STATES, N_STATES)),
+        np.zeros((n_states, n_states)),
         np.zeros((kept, N_X)),
-        np.zeros((kept, N_STATES, N_STATES)),
+        np.zeros((kept, n_states, n_states)),
         np.zeros(n_fixes, np.int64),
         np.zeros(n_fixes, np.int64),
         np.zeros(n_fixes, np.bool_),
         np.full(n_fixes, -1, np.int64),
-        np.zeros((3, 3)),
-        np.zeros(3),
-        np.zeros(6),
+        *steps_memory(n_states),
+    )
+
+
+def steps_memory(n_states):
+    """Arrays that the steps of `align._kernels` work in: outputs of `kinematics`, the innovation, and what
+    `predict` and `update` take as ``work`` and ``buffers``."""
+    predicting = ((9, 15), (9, n_states), (3, 3), 6, 6, 3, n_states)
+    updating = ((6, n_states), (n_states, 6), (6, 6), (6, 6), (n_states, 6), (n_states, 6))
+    updating = (*updating, (n_states, n_states), n_states)
+    moving = ((3, 3), 3, 3, (2, 3), 6)
+    return (
+        tuple(np.zeros(shape) for shape in moving),
         np.zeros(6),
         tuple(np.zeros(shape) for shape in predicting),
         tuple(np.zeros(shape) for shape in updating),
@@ -93,19 +99,19 @@ def _copy(X_from, P_from, X_to, P_to):
     """Copy state and covariance; loops compile much faster than array assignments."""
     for i in range(len(X_to)):
         X_to[i] = X_from[i]
-    for i in range(N_STATES):
-        for j in range(N_STATES):
+    for i in range(len(P_to)):
+        for j in range(len(P_to)):
             P_to[i, j] = P_from[i, j]
 
 
 @njit(**COMPILED)
 def _meaningful(X, P):
     """Whether the state is finite and no variance is negative."""
-    for i in range(17):
+    for i in range(REFUSED):
         if not math.isfinite(X[i]):
             return False
     trace = 0.0
-    for i in range(N_STATES):
+    for i in range(len(P)):
         if P[i, i] < 0:
             return False
         trace += P[i, i]
@@ -151,12 +157,13 @@ def align(
         (its stamp or its arrival), arrival epoch (k,), reference epoch (k,), packet (k,) one number per
         packet sent, source (k,) counted from 0, sequence (k,).
     outcome (k,) : PENDING, or the reason for which a fix must not be used; is filled.
-    initial (7,), initial_sd (16,) : biases and delay at the start; standard deviations at the start.
-    noise_density (16,) : power spectral densities of the white noises on the states.
+    initial (10,), initial_sd (n,) : biases, delay and lever arm at the start; standard deviations there, n = 16,
+        or 19 if the lever arm is estimated.
+    noise_density (n,) : power spectral densities of the white noises on the states.
     gate : largest NIS to accept. patience : fixes refused in a row before starting again.
     horizon : epochs. samples : intervals to average the specific force over.
     output_epoch (m,) : epochs at which to write the outputs, increasing.
-    outputs : tuple of X (m, 18), variances (m, 16), misalignment covariance (m, 3, 3), innovation (k, 6),
+    outputs : tuple of X (m, 21), variances (m, n), misalignment covariance (m, 3, 3), innovation (k, 6),
         nis (k,), fix time (k,); what is not reached keeps what it had.
     memory : new `working_memory`.
     """
@@ -164,7 +171,8 @@ def align(
     X_out, variance_out, misalignment_out, innovation_out, nis_out, fix_time_out = outputs
     n, n_fixes = len(time), len(arrival_epoch)
     stamped, estimated = delay_model == STAMPED, delay_model == ESTIMATED
-    X, P, X_kept, P_kept, epoch, applied, seen, newest, C, f_n, u, innovation, work, buffers = memory
+    X, P, X_kept, P_kept, epoch, applied, seen, newest, motion, innovation, work, buffers = memory
+    C, f_n, w_b, arm, u = motion
     kept, n_applied = len(X_kept), 0
     running, now, arriving, output = False, 0, 0, 0
 
@@ -217,7 +225,7 @@ def align(
                 starting = first == 0 or X[REFUSED] >= patience
                 if starting and first > 0:
                     _start(X, P, fix_lla[f], fix_v_n[f], fix_cov[f], initial, initial_sd)
-                kinematics(X, time, increments, now, samples, gravity_model, C, f_n, u)
+                kinematics(X, time, increments, now, samples, gravity_model, C, f_n, w_b, arm, u)
                 age = time[now] - t_reference[f] + (X[16] if estimated else 0.0)
                 nis, taken = update(
                     X,
@@ -231,6 +239,8 @@ def align(
                     estimated,
                     C,
                     f_n,
+                    w_b,
+                    arm,
                     u,
                     math.inf if starting else gate,
                     innovation,
@@ -254,7 +264,7 @@ def align(
         if running and output < len(output_epoch) and output_epoch[output] == k:
             for i in range(len(X)):
                 X_out[output, i] = X[i]
-            for i in range(N_STATES):
+            for i in range(len(P)):
                 variance_out[output, i] = P[i, i]
             for i in range(3):
                 for j in range(3):

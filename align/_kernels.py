@@ -1,9 +1,9 @@
 """Compiled closed-loop error-state filter over one record of increments and fixes.
 
-State vector ``X``, shape (18,): lla 0:3, v_n 3:6, q_nb 6:10, accelerometer bias 10:13, gyro bias
-13:16, mean delay 16, number of fixes refused in a row 17. Error state, shape (16,): the fifteen of
-`sins.error_model` and the delay's error. The readable twins of `kinematics` and `update` stand in
-`align.measurement`.
+State vector ``X``, shape (21,): lla 0:3, v_n 3:6, q_nb 6:10, accelerometer bias 10:13, gyro bias
+13:16, mean delay 16, lever arm 17:20, number of fixes refused in a row 20. Error state, shape (n,), n = 16: the
+fifteen of `sins.error_model` and the delay's error; n = 19 if the lever arm is estimated. The readable twins of
+`kinematics` and `update` stand in `align.measurement`.
 """
 
 # Types of compiled functions are those of their docstrings; numba infers them.
@@ -23,9 +23,10 @@ from ..sins._kernels import (
 )
 from ..sins.earth import EARTH_RATE, gravity, radii_of_curvature, transport_rate_n
 
-N_STATES, N_X = 16, 18
-DELAY = 15
-REFUSED = 17
+N_STATES, N_X = 16, 21
+"""States at least: those of the lever arm may follow."""
+DELAY, LEVER = 15, 16
+REFUSED = 20
 IGNORED, STAMPED, ESTIMATED = 0, 1, 2
 PENDING, FUSED, INITIALIZED, GATED, DUPLICATE, LATE, NOT_FINITE, FUTURE = range(8)
 
@@ -34,7 +35,7 @@ PENDING, FUSED, INITIALIZED, GATED, DUPLICATE, LATE, NOT_FINITE, FUTURE = range(
 def predict(X, P, time, increments, gap_variance, k, noise_density, gravity_model, work):
     """Carry state and covariance from epoch k - 1 to epoch k.
 
-    ``noise_density``, shape (16,), are the power spectral densities of the white noises on the states;
+    ``noise_density``, shape (n,), are the power spectral densities of the white noises on the states;
     ``gap_variance``, shape (n, 2), what missing samples add to the variances of velocity and misalignment.
     """
     Phi, W, C, increment, previous, f_n, noise = work
@@ -47,7 +48,7 @@ def predict(X, P, time, increments, gap_variance, k, noise_density, gravity_mode
     advance(X[0:3], X[3:6], X[6:10], increment, previous, dt, gravity_model, f_n)
     fill_C_nb(X[6:10], C)
     fill_transition(X[0:3], X[3:6], f_n, C, dt, Phi)
-    for i in range(N_STATES):
+    for i in range(len(P)):
         noise[i] = noise_density[i] * dt
     for i in range(3):
         noise[3 + i] += gap_variance[k, 0]
@@ -56,29 +57,42 @@ def predict(X, P, time, increments, gap_variance, k, noise_density, gravity_mode
 
 
 @njit(**COMPILED)
-def kinematics(X, time, increments, k, samples, gravity_model, C, f_n, u):
-    """Velocity and acceleration of the vehicle in n: ``u``, shape (6,).
+def kinematics(X, time, increments, k, samples, gravity_model, C, f_n, w_b, arm, u):
+    """Velocity and acceleration of the antenna in n: ``u``, shape (6,).
 
-    The specific force is averaged over the last ``samples`` intervals, so that vibration is not taken
-    for acceleration; ``f_n`` and ``C`` (C_nb) are written too.
+    Specific force and rate are averaged over the last ``samples`` intervals, so that vibration is not taken
+    for acceleration; ``f_n`` (3,), ``C`` (C_nb), the rate ``w_b`` (3,) against n and ``arm`` (2, 3), the lever
+    arm and its rate of change in n, are written too.
     """
     fill_C_nb(X[6:10], C)
     first = max(k - samples, 0)
     span = time[k] - time[first]
     lat, height = X[0], X[2]
     north, east, down = X[3], X[4], X[5]
+    en_north, en_east, en_down = transport_rate_n(lat, height, north, east)
+    in_north, in_down = EARTH_RATE * math.cos(lat) + en_north, -EARTH_RATE * math.sin(lat) + en_down
     for i in range(3):
         f_n[i] = 0.0
-    if span > 0:
-        for j in range(3):
-            mean = 0.0
+    for j in range(3):
+        w_b[j] = 0.0
+        if span > 0:
+            turned, mean = 0.0, 0.0
             for s in range(first + 1, k + 1):
+                turned += increments[s, j]
                 mean += increments[s, 3 + j]
+            in_b = C[0, j] * in_north + C[1, j] * en_east + C[2, j] * in_down
+            w_b[j] = turned / span - X[13 + j] - in_b
             mean = mean / span - X[10 + j]
             for i in range(3):
                 f_n[i] += C[i, j] * mean
+    # Of the antenna about the IMU; what the angular acceleration adds is left out.
+    lx, ly, lz = X[17], X[18], X[19]
+    vx, vy, vz = w_b[1] * lz - w_b[2] * ly, w_b[2] * lx - w_b[0] * lz, w_b[0] * ly - w_b[1] * lx
+    ax, ay, az = w_b[1] * vz - w_b[2] * vy, w_b[2] * vx - w_b[0] * vz, w_b[0] * vy - w_b[1] * vx
+    for i in range(3):
+        arm[0, i] = C[i, 0] * lx + C[i, 1] * ly + C[i, 2] * lz
+        arm[1, i] = C[i, 0] * vx + C[i, 1] * vy + C[i, 2] * vz
     g_north, g_down = gravity(gravity_model, lat, height)
-    en_north, en_east, en_down = transport_rate_n(lat, height, north, east)
     c_north, c_east = 2 * EARTH_RATE * math.cos(lat) + en_north, en_east
     c_down = -2 * EARTH_RATE * math.sin(lat) + en_down
     u[0], u[1], u[2] = north, east, down
@@ -87,6 +101,9 @@ def kinematics(X, time, increments, k, samples, gravity_model, C, f_n, u):
     u[5] = f_n[2] + g_down - (c_north * east - c_east * north)
     if span == 0:
         u[3] = u[4] = u[5] = 0.0
+    for i in range(3):
+        u[i] += arm[1, i]
+        u[3 + i] += C[i, 0] * ax + C[i, 1] * ay + C[i, 2] * az
 
 
 @njit(**COMPILED)
@@ -102,6 +119,8 @@ def update(
     estimated,
     C,
     f_n,
+    w_b,
+    arm,
     u,
     gate,
     innovation,
@@ -115,17 +134,18 @@ def update(
     Nothing but ``innovation``, shape (6,), is written if the fix is not applied.
     """
     H, PHt, S, R, K, M, AP, x = buffers
+    n_states = len(P)
     R_N, R_E = radii_of_curvature(X[0])
-    innovation[0] = (X[0] - lla[0]) * (R_N + X[2]) - age * u[0]
+    innovation[0] = (X[0] - lla[0]) * (R_N + X[2]) + arm[0, 0] - age * u[0]
     east = X[1] - lla[1]
     east -= 2 * math.pi * round(east / (2 * math.pi))  # the date line may lie between
-    innovation[1] = east * (R_E + X[2]) * math.cos(X[0]) - age * u[1]
-    innovation[2] = lla[2] - X[2] - age * u[2]
+    innovation[1] = east * (R_E + X[2]) * math.cos(X[0]) + arm[0, 1] - age * u[1]
+    innovation[2] = lla[2] - X[2] + arm[0, 2] - age * u[2]
     for i in range(3):
-        innovation[3 + i] = X[3 + i] - age * u[3 + i] - v_n[i]
+        innovation[3 + i] = X[3 + i] + arm[1, i] - age * u[3 + i] - v_n[i]
 
     for i in range(6):
-        for j in range(N_STATES):
+        for j in range(n_states):
             H[i, j] = 0.0
     for i in range(3):
         H[i, i] = 1.0
@@ -133,9 +153,17 @@ def update(
         H[3 + i, 3 + i] = 1.0
         for j in range(3):
             H[3 + i, 9 + j] = -age * C[i, j]
-    H[3, 7], H[3, 8] = age * f_n[2], -age * f_n[1]
-    H[4, 6], H[4, 8] = -age * f_n[2], age * f_n[0]
-    H[5, 6], H[5, 7] = age * f_n[1], -age * f_n[0]
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        H[i, 6 + j], H[j, 6 + i] = -arm[0, k], arm[0, k]
+        H[3 + i, 6 + j] = age * f_n[k] - arm[1, k]
+        H[3 + j, 6 + i] = -age * f_n[k] + arm[1, k]
+        # An error of the rate swings the antenna; columns of C_nb (w x) and -C_nb (l x).
+        for r in range(3):
+            H[3 + r, 12 + k] = C[r, j] * X[17 + i] - C[r, i] * X[17 + j]
+            if n_states > LEVER:
+                H[r, LEVER + k] = C[r, k]
+                H[3 + r, LEVER + k] = C[r, i] * w_b[j] - C[r, j] * w_b[i]
     if estimated:
         for i in range(6):
             H[i, DELAY] = -u[i]
@@ -145,16 +173,16 @@ def update(
         if i >= 3:
             R[i, i] += vibration_variance
 
-    for r in range(N_STATES):
+    for r in range(n_states):
         for i in range(6):
             s = 0.0
-            for c in range(N_STATES):
+            for c in range(n_states):
                 s += P[r, c] * H[i, c]
             PHt[r, i] = s
     for i in range(6):
         for j in range(i + 1):
             s = R[i, j]
-            for c in range(N_STATES):
+            for c in range(n_states):
                 s += H[i, c] * PHt[c, j]
             S[i, j] = s
     # Cholesky factor in the lower triangle of S.
@@ -179,7 +207,7 @@ def update(
     if not nis <= gate:
         return nis, False
 
-    for r in range(N_STATES):
+    for r in range(n_states):
         for i in range(6):
             s = PHt[r, i]
             for k in range(i):
@@ -191,22 +219,22 @@ def update(
                 s -= S[k, i] * K[r, k]
             K[r, i] = s / S[i, i]
     # Joseph form, (I - K H) P (I - K H)' + K R K', as AP - (AP H' - K R) K' with AP = P - K (P H')'.
-    for r in range(N_STATES):
-        for c in range(N_STATES):
+    for r in range(n_states):
+        for c in range(n_states):
             AP[r, c] = P[r, c]
         for i in range(6):
             k_ri = K[r, i]
-            for c in range(N_STATES):
+            for c in range(n_states):
                 AP[r, c] -= k_ri * PHt[c, i]
-    for r in range(N_STATES):
+    for r in range(n_states):
         for i in range(6):
             s = 0.0
-            for c in range(N_STATES):
+            for c in range(n_states):
                 s += AP[r, c] * H[i, c]
             for j in range(6):
                 s -= K[r, j] * R[j, i]
             M[r, i] = s
-    for r in range(N_STATES):
+    for r in range(n_states):
         for c in range(r + 1):
             s = AP[r, c]
             for i in range(6):
@@ -214,7 +242,7 @@ def update(
             P[r, c] = s
             P[c, r] = s
 
-    for r in range(N_STATES):
+    for r in range(n_states):
         s = 0.0
         for i in range(6):
             s += K[r, i] * innovation[i]
@@ -228,4 +256,7 @@ def update(
         X[13 + i] += x[12 + i]
     rotate_attitude(X[6:10], x[6], x[7], x[8])
     X[16] -= x[15]
+    if n_states > LEVER:
+        for i in range(3):
+            X[17 + i] -= x[LEVER + i]
     return nis, True

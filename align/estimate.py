@@ -51,7 +51,9 @@ class Estimate:
     lla, v_n, q_nb : (m, 3) rad, rad, m; (m, 3) m/s, NED; (m, 4).
     accel_bias, gyro_bias : (m, 3) m/s^2 and rad/s, body.
     delay : (m,) estimated mean delay of the fixes, s.
-    sd : (m, 16) standard deviations of the 15 states of `sins.error_model` and of the delay.
+    lever_arm_b : (m, 3) from IMU to antenna, body, m.
+    sd : (m, 16) standard deviations of the 15 states of `sins.error_model` and of the delay; (m, 19) with
+        those of the lever arm where it is estimated.
     misalignment_cov : (m, 3, 3) covariance of the misalignment, NED, rad^2.
     innovation : (k, 6) predicted minus received, position NED in m and velocity in m/s, NaN if not computed.
     nis : (k,) normalised innovation squared.
@@ -68,6 +70,7 @@ class Estimate:
     accel_bias: Array
     gyro_bias: Array
     delay: Array
+    lever_arm_b: Array
     sd: Array
     misalignment_cov: Array
     innovation: Array

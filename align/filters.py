@@ -19,6 +19,7 @@ References
 
 from enum import IntEnum
 from functools import cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,7 +42,7 @@ from ..sins.units import (
 from . import _alignment_kernel, _kernels
 from .consistency import chi_square_quantile
 from .estimate import Estimate, RunOutcome
-from .measurement import DELAY, N_STATES
+from .measurement import DELAY, LEVER, N_STATES
 from .reception import finite_increments, received
 
 Array = NDArray[np.float64]
@@ -61,6 +62,9 @@ class DelayModel(IntEnum):
 
 FILTERS = {"ekf": DelayModel.IGNORED, "ekf_stamped": DelayModel.STAMPED, "l2linf": DelayModel.ESTIMATED}
 """Filters that a scenario can name."""
+
+
+Coordinate = Annotated[float, Field(ge=-100, le=100)]
 
 
 class FilterSettings(Settings):
@@ -84,7 +88,16 @@ class FilterSettings(Settings):
     """How far back a stamped fix may reach."""
     acceleration_window_s: float = Field(default=0.1, gt=0, le=2)
     """Time over which the specific force is averaged to predict where the vehicle was."""
+    lever_arm_b_m: tuple[Coordinate, Coordinate, Coordinate] = (0.0, 0.0, 0.0)
+    """The antenna that fixes are valid for, as surveyed from the IMU, in b."""
+    lever_arm_sd_m: float = Field(default=0.0, ge=0, le=10)
+    """Standard deviation of each component of that; above zero the filters estimate the lever arm."""
     output_rate_hz: float = Field(default=10.0, gt=0, le=1000)
+
+
+def n_states(settings: FilterSettings) -> int:
+    """Number of error states: 16, and three more where the lever arm is estimated."""
+    return N_STATES + 3 * (settings.lever_arm_sd_m > 0)
 
 
 def noise_density(imu: ImuErrors) -> Array:
@@ -101,8 +114,9 @@ def noise_density(imu: ImuErrors) -> Array:
 
 
 def initial_sd(settings: FilterSettings, imu: ImuErrors, delay: DelayModel) -> Array:
-    """Standard deviations of the error state, shape (16,), before the first fix."""
-    sd = np.zeros(N_STATES)
+    """Standard deviations of the error state, shape (n,), before the first fix."""
+    sd = np.zeros(n_states(settings))
+    sd[LEVER] = settings.lever_arm_sd_m
     sd[POSITION] = DIFFUSE_POSITION_M
     sd[VELOCITY] = DIFFUSE_VELOCITY_MPS
     sd[MISALIGN] = np.array([settings.level_sd_deg, settings.level_sd_deg, settings.heading_sd_deg]) * DEG
@@ -157,11 +171,12 @@ def align(
 
     every = max(1, round(1 / (settings.output_rate_hz * dt)))
     output_epoch = np.unique(np.append(np.arange(every, n, every), n - 1))
-    m = len(output_epoch)
-    X, variance, misalignment_cov = (np.full(shape, np.nan) for shape in ((m, 18), (m, N_STATES), (m, 3, 3)))
+    m, states = len(output_epoch), n_states(settings)
+    X, variance, misalignment_cov = (np.full(shape, np.nan) for shape in ((m, 21), (m, states), (m, 3, 3)))
     innovation, nis, fix_time = (np.full(shape, np.nan) for shape in ((k, 6), (k,), (k,)))
     horizon = round(settings.horizon_s / dt)
-    initial = np.zeros(7)
+    initial = np.zeros(10)
+    initial[7:] = settings.lever_arm_b_m
     initial[6] = settings.delay_mean_ms * MILLISECOND if estimated else 0.0
 
     started, finite_to_the_end = _alignment_kernel.align(
@@ -175,7 +190,7 @@ def align(
         delay_sd_ms * MILLISECOND,
         initial,
         initial_sd(settings, imu, delay),
-        noise_density(imu),
+        np.pad(noise_density(imu), (0, states - N_STATES)),
         imu.vibration_mps**2,
         _gate(settings.gate_probability),
         settings.restart_after_gated,
@@ -184,7 +199,7 @@ def align(
         int(gravity),
         output_epoch,
         (X, variance, misalignment_cov, innovation, nis, fix_time),
-        _alignment_kernel.working_memory(k, horizon + 1 if stamped else 1),
+        _alignment_kernel.working_memory(k, horizon + 1 if stamped else 1, states),
     )
     ending = RunOutcome.ALIGNED if finite_to_the_end else RunOutcome.NOT_FINITE
     return Estimate(
@@ -195,6 +210,7 @@ def align(
         accel_bias=X[:, 10:13],
         gyro_bias=X[:, 13:16],
         delay=X[:, 16],
+        lever_arm_b=X[:, 17:20],
         sd=np.sqrt(variance),
         misalignment_cov=misalignment_cov,
         innovation=innovation,

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 from fleetalign.align.filters import DelayModel, FilterSettings, initial_sd, noise_density
-from fleetalign.align.measurement import N_STATES, joseph_update, kinematics, measure
+from fleetalign.align.measurement import N_STATES, Motion, joseph_update, kinematics, measure
 from fleetalign.network.fixes import Fixes
 from fleetalign.sins import attitude, earth
 from fleetalign.sins.earth import GravityModel
@@ -142,10 +142,13 @@ class NumpyFilter:
         samples = max(1, round(self.settings.acceleration_window_s / dt))
         back = max(k - samples, 0)
         if k == back:
-            f_n, u = np.zeros(3), np.concatenate([navigation.v_n, np.zeros(3)])
+            still = np.zeros(3)
+            motion = Motion(np.concatenate([navigation.v_n, still]), still, still, still)
         else:
-            mean = self.dv_b[back + 1 : k + 1].sum(axis=0) / (self.time[k] - self.time[back])
-            u, f_n = kinematics(navigation, mean - belief.accel_bias, self.gravity)
+            span = self.time[k] - self.time[back]
+            f_b = self.dv_b[back + 1 : k + 1].sum(axis=0) / span - belief.accel_bias
+            w_b = self.dtheta_b[back + 1 : k + 1].sum(axis=0) / span - belief.gyro_bias
+            motion = kinematics(navigation, f_b, w_b, np.zeros(3), self.gravity)
         estimated = self.delay is DelayModel.ESTIMATED
         measurement = measure(
             navigation,
@@ -156,8 +159,7 @@ class NumpyFilter:
             self.time[k] - reference[fix] + belief.delay,
             self.settings.delay_sd_ms * MILLISECOND if estimated else 0.0,
             estimated,
-            f_n,
-            u,
+            motion,
         )
         x, P, nis = joseph_update(belief.P, measurement)
         if not first and nis > self._gate:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fleetalign.align import _kernels, measurement
+from fleetalign.align import _alignment_kernel, _kernels, measurement
 from fleetalign.align.estimate import FixOutcome, RunOutcome
 from fleetalign.align.filters import (
     DelayModel,
@@ -47,37 +47,40 @@ def assert_ends_alike(a, b, atol=0.0):
         np.testing.assert_allclose(getattr(a, name)[-1], getattr(b, name)[-1], rtol=0, atol=atol)
 
 
-@pytest.mark.parametrize("estimated", [False, True])
-def test_compiled_update_is_the_readable_one(estimated):
+@pytest.mark.parametrize(("estimated", "n"), [(False, 16), (True, 16), (True, 19)])
+def test_compiled_update_is_the_readable_one(estimated, n):
     rng = np.random.default_rng(3)
     state = NavigationState(
         np.array([0.52, 2.1, 1010.0]), np.array([140.0, 141.0, 2.0]), attitude.from_euler(0.5, 0.05, 0.8)
     )
     time = 0.01 * np.arange(11)
-    increments = rng.normal(0, 1e-4, (11, 6)) + np.array([0, 0, 0, 0.01, -0.02, -0.11])
-    X = np.concatenate([state.lla, state.v_n, state.q_nb, rng.normal(0, 1e-3, 3), np.zeros(3), [0.03]])
-    root = (
-        rng.normal(size=(16, 16)) * np.repeat([10, 0.3, 1e-3, 1e-3, 1e-6, 0.02], [3, 3, 3, 3, 3, 1])[:, None]
-    )
+    increments = rng.normal(0, 1e-4, (11, 6)) + np.array([4e-3, 1e-3, -2e-3, 0.01, -0.02, -0.11])
+    arm = np.array([3.0, -1.0, -2.0])
+    biases = rng.normal(0, [1e-3] * 3 + [1e-5] * 3)
+    X = np.concatenate([state.lla, state.v_n, state.q_nb, biases, [0.03], arm, [0.0]])
+    scale = np.repeat([10, 0.3, 1e-3, 1e-3, 1e-6, 0.02, 0.1], [3, 3, 3, 3, 3, 1, 3])[:n]
+    root = rng.normal(size=(n, n)) * scale[:, None]
     P = root @ root.T
     fix_lla = earth.displaced(state.lla, [8.0, -5.0, 3.0])
     fix_v_n, cov = state.v_n + [0.1, -0.2, 0.05], np.diag([100.0] * 3 + [0.01] * 3)
     age, delay_sd, vibration = 0.034, 0.0144, 1e-4
 
-    C, f_n, u = np.empty((3, 3)), np.empty(3), np.empty(6)
-    _kernels.kinematics(X, time, increments, 10, 10, 0, C, f_n, u)
-    f_b = increments[1:, 3:].sum(axis=0) / 0.1 - X[10:13]
-    u_readable, f_n_readable = measurement.kinematics(state, f_b, GravityModel.J2)
-    np.testing.assert_allclose(u, u_readable, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(f_n, f_n_readable, rtol=1e-12, atol=1e-12)
+    moving, innovation, _, buffers = _alignment_kernel.steps_memory(n)
+    _kernels.kinematics(X, time, increments, 10, 10, 0, *moving)
+    _, f_n, w_b, arms, u = moving
+    f_b, w_ib_b = increments[1:, 3:].sum(axis=0) / 0.1 - X[10:13], increments[1:, :3].sum(axis=0) / 0.1
+    motion = measurement.kinematics(state, f_b, w_ib_b - X[13:16], arm, GravityModel.J2)
+    np.testing.assert_allclose(u, motion.u, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(f_n, motion.f_n, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(w_b, motion.w_b, rtol=1e-12, atol=1e-15)
+    rotated = attitude.rotate(state.q_nb, np.array([arm, np.cross(motion.w_b, arm)]))
+    np.testing.assert_allclose(arms, rotated, rtol=1e-12, atol=1e-12)
 
-    expected = measurement.measure(state, fix_lla, fix_v_n, cov, vibration, age, delay_sd, estimated, f_n, u)
+    expected = measurement.measure(state, fix_lla, fix_v_n, cov, vibration, age, delay_sd, estimated, motion)
     x, P_expected, nis_expected = measurement.joseph_update(P, expected)
-    X_new, P_new, innovation = X.copy(), P.copy(), np.empty(6)
-    shapes = [(6, 16), (16, 6), (6, 6), (6, 6), (16, 6), (16, 6), (16, 16), (16,)]
-    buffers = tuple(np.zeros(shape) for shape in shapes)
+    X_new, P_new = X.copy(), P.copy()
     nis, applied = _kernels.update(
-        X_new, P_new, fix_lla, fix_v_n, cov, vibration, age, delay_sd, estimated, C, f_n, u, 1e9,
+        X_new, P_new, fix_lla, fix_v_n, cov, vibration, age, delay_sd, estimated, *moving, 1e9,
         innovation, buffers,
     )  # fmt: skip
     assert applied
@@ -94,11 +97,12 @@ def test_compiled_update_is_the_readable_one(estimated):
     )
     np.testing.assert_allclose(X_new[10:13] - X[10:13], x[ACCEL], rtol=1e-6)
     np.testing.assert_allclose(X_new[13:16] - X[13:16], x[GYRO], rtol=1e-6, atol=1e-18)
+    np.testing.assert_allclose(X_new[17:20] - X[17:20], -x[16:] if n > 16 else 0.0, rtol=1e-6, atol=1e-12)
     assert X_new[16] == pytest.approx(X[16] - x[15], rel=1e-9)
 
     untouched, P_same = X.copy(), P.copy()
     refused = _kernels.update(
-        untouched, P_same, fix_lla, fix_v_n, cov, vibration, age, delay_sd, estimated, C, f_n, u, 1e-9,
+        untouched, P_same, fix_lla, fix_v_n, cov, vibration, age, delay_sd, estimated, *moving, 1e-9,
         innovation, buffers,
     )  # fmt: skip
     assert not refused[1]
