@@ -10,6 +10,7 @@ from rich.text import Text
 
 from .command_line import InputError, ScenarioArgument, loaded
 from .fly_command import fly
+from .lmi_command import lmi
 from .localize_command import localize
 from .run_command import run
 from .terminal import error_console, out_console
@@ -95,7 +96,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (run, fly, localize, check):
+for command in (run, fly, localize, lmi, check):
     app.command()(command)
 app.command("list")(list_)
 

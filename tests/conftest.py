@@ -13,7 +13,7 @@ import pytest
 # they call from another module would go unnoticed: keep them by the content of all of them.
 _sources = sorted(
     path
-    for room in ("sins", "network", "network.localization", "align")
+    for room in ("sins", "network", "network.localization", "align", "align.lmi")
     for folder in find_spec(f"fleetalign.{room}").submodule_search_locations
     for path in Path(folder).glob("*.py")
 )

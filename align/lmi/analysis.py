@@ -1,0 +1,274 @@
+"""What a filter does in the closed loop, worked out without any solver of inequalities.
+
+With eta = [xi; x^], q the random part of r, of variance s^2:
+
+    eta(k+1) = (A0 + q A1) eta + (B0 + q B1) w,      e = (c0 + q c1) eta + (d0 + q d1) w
+
+*Peak gain* (l2-linf): root of the largest E|e(k)|^2 over all w of unit energy; *energy gain* (H-infinity):
+root of the largest sum of E|e|^2. A disturbance may be fixed in advance ("deterministic") or may answer to
+the delays that it has seen ("adapted"), which is worse. For rho = 1 the two agree. The covariance of the
+error under white noise is none of these for rho < 1.
+
+Both gains come from a price lambda on the energy: with no more to win than lambda per unit, the value
+function eta' Q eta of the game "error minus lambda times energy" stays finite, going back from the end.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import matrix_balance, solve_discrete_lyapunov
+from scipy.optimize import minimize_scalar
+
+from .plant import Array, Augmented, Filter, Plant
+
+TOLERANCE = 1e-7
+"""Relative, of squares of gains; also the part of them that a recursion may leave out when it ends."""
+ENERGY_TOLERANCE = 1e-3
+"""The same for energy gains against adapted disturbances: near the gain their recursion hardly moves."""
+MOST_STEPS = 50_000
+FREQUENCIES = 2_000
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Matrices of the closed loop; ``s``, deviation of q."""
+
+    A0: Array
+    A1: Array
+    B0: Array
+    B1: Array
+    c0: Array
+    c1: Array
+    d0: Array
+    d1: Array
+    s: float
+
+    @classmethod
+    def of(cls, plant: Plant, filter_: Filter) -> "ClosedLoop":
+        """The plant with the filter behind it."""
+        a, f = Augmented.of(plant), filter_
+        k, zeros = f.order, np.zeros
+        A0 = np.block([[a.A, zeros((len(a.A), k))], [f.Bf @ a.C0, f.Af]])
+        A1 = np.block([[zeros((len(a.A), len(a.A) + k))], [f.Bf @ a.C1, zeros((k, k))]])
+        # Units in which equations for eta are well conditioned; nothing that is asked for depends on them.
+        balanced, (unit, _) = matrix_balance(A0, permute=False, separate=True)
+        return cls(
+            A0=balanced,
+            A1=A1 * unit / unit[:, None],
+            B0=np.vstack([a.B, f.Bf @ a.D0]) / unit[:, None],
+            B1=np.vstack([np.zeros_like(a.B), f.Bf @ a.D1]) / unit[:, None],
+            c0=np.hstack([a.H - f.Df @ a.C0, -f.Cf]) * unit,
+            c1=np.hstack([-f.Df @ a.C1, zeros((len(a.H), k))]) * unit,
+            d0=-f.Df @ a.D0,
+            d1=-f.Df @ a.D1,
+            s=a.s,
+        )
+
+    @cached_property
+    def spectral_radius(self) -> float:
+        """Of the operator X -> A0 X A0' + s^2 A1 X A1': mean-square stable if below 1.
+
+        The plant does not hear the filter, so A1 maps into the filter what only the plant feeds, and the
+        operator is block triangular: its eigenvalues are the products of those of A0, two at a time.
+        """
+        return float(np.abs(np.linalg.eigvals(self.A0)).max() ** 2)
+
+    @cached_property
+    def gramian(self) -> Array:
+        """Stationary covariance of eta under white w of unit variance."""
+        source = self.B0 @ self.B0.T + self.s**2 * self.B1 @ self.B1.T
+        # What A1 takes from eta is the plant's part, which A0 alone decides on.
+        plant_only = solve_discrete_lyapunov(self.A0, source)
+        return solve_discrete_lyapunov(self.A0, source + self.s**2 * self.A1 @ plant_only @ self.A1.T)
+
+    @cached_property
+    def observability(self) -> Array:
+        """S: eta' S eta is what eta adds to the sum of E|e|^2 from now on, without further disturbances."""
+        error = self.c0.T @ self.c0 + self.s**2 * self.c1.T @ self.c1
+        filter_only = solve_discrete_lyapunov(self.A0.T, error)
+        return solve_discrete_lyapunov(self.A0.T, error + self.s**2 * self.A1.T @ filter_only @ self.A1)
+
+    @property
+    def error_covariance(self) -> Array:
+        """Stationary covariance (p, p) of e under white w of unit variance."""
+        return self.error_of(self.gramian)
+
+    def error_of(self, P: Array) -> Array:
+        """Covariance of e where that of eta is ``P``."""
+        mean = self.c0 @ P @ self.c0.T + self.d0 @ self.d0.T
+        return mean + self.s**2 * (self.c1 @ P @ self.c1.T + self.d1 @ self.d1.T)
+
+    def carried(self, P: Array) -> Array:
+        """Covariance of eta one step on, under white w of unit variance."""
+        mean = self.A0 @ P @ self.A0.T + self.B0 @ self.B0.T
+        return mean + self.s**2 * (self.A1 @ P @ self.A1.T + self.B1 @ self.B1.T)
+
+
+def holds(loop: ClosedLoop, gain: float, adapted: bool, energy: bool) -> bool:
+    """Whether no disturbance exceeds ``gain``: the energy gain, or the peak gain.
+
+    At a gain that is within `TOLERANCE` of the exact one the answer may be either. A recursion that does not
+    settle is a no.
+    """
+    if loop.spectral_radius >= 1:
+        return False
+    price, weight = gain**2, loop.gramian
+    mean = np.hstack([loop.A0, loop.B0])
+    random = loop.s * np.hstack([loop.A1, loop.B1])
+    output = np.vstack([np.hstack([loop.c0, loop.d0]), loop.s * np.hstack([loop.c1, loop.d1])])
+    error = output.T @ output
+    n = len(loop.A0)
+    # Q: value function. S: the same without further disturbances, which is all that deterministic ones can
+    # have of what the delays will do.
+    Q, S, value = np.zeros((n, n)), np.zeros((n, n)), 0.0
+    for step in range(MOST_STEPS):
+        game = mean.T @ Q @ mean + random.T @ (Q if adapted else S) @ random
+        if energy or step == 0:
+            game += error
+        if not adapted:
+            S = loop.A0.T @ S @ loop.A0 + random[:, :n].T @ S @ random[:, :n]
+            if energy or step == 0:
+                S += error[:n, :n]
+        left = price * np.eye(len(game) - n) - game[n:, n:]
+        try:
+            factor = np.linalg.cholesky(left)
+        except np.linalg.LinAlgError:
+            return False
+        won = np.linalg.solve(factor, game[n:, :n])
+        Q, before = game[:n, :n] + won.T @ won, value
+        value = float(np.vdot(Q, weight))
+        if (abs(value - before) if energy else value) <= TOLERANCE * price:
+            return True
+    return False
+
+
+def peak_gain(loop: ClosedLoop, adapted: bool) -> float:
+    """The exact peak gain, against adapted or against deterministic disturbances."""
+    if loop.spectral_radius >= 1:
+        return np.inf
+    # e = G w with one matrix G has the covariance G G' under white w, and the gain is the norm of G.
+    covariance = max(float(np.linalg.eigvalsh(loop.error_covariance)[-1]), 0.0)
+    if loop.s == 0 or covariance == 0:
+        return float(np.sqrt(covariance))
+    return _bisected(loop, adapted, False, 0.0, covariance, TOLERANCE)
+
+
+def energy_gain(loop: ClosedLoop, adapted: bool) -> float:
+    """The exact energy gain; against adapted disturbances to `ENERGY_TOLERANCE`, from above."""
+    if loop.spectral_radius >= 1:
+        return np.inf
+    exact = _greatest_over_frequencies(loop)
+    if loop.s == 0 or not adapted or exact == 0:
+        return exact
+    return _bisected(loop, True, True, exact**2, exact**2, ENERGY_TOLERANCE)
+
+
+def _bisected(
+    loop: ClosedLoop, adapted: bool, energy: bool, low: float, guess: float, tolerance: float
+) -> float:
+    """Least gain that `holds`, from above, when its square is at least ``low``."""
+    high = guess * (1 + tolerance)
+    while not holds(loop, np.sqrt(high), adapted, energy):
+        low, high = high, 2 * high
+    while high - low > tolerance * high:
+        middle = (low + high) / 2
+        if holds(loop, np.sqrt(middle), adapted, energy):
+            high = middle
+        else:
+            low = middle
+    return float(np.sqrt(high))
+
+
+def _greatest_over_frequencies(loop: ClosedLoop) -> float:
+    """Energy gain against deterministic disturbances: the H-infinity norm of a system without q.
+
+    The mean of eta is such a system. What q makes of the mean, ``A1 eta + B1 w``, is uncorrelated from step
+    to step and costs ``observability`` each time: so it is an output beside the mean error.
+    """
+    values, vectors = np.linalg.eigh(loop.observability)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    C = np.vstack([loop.c0, loop.s * loop.c1, loop.s * root @ loop.A1])
+    D = np.vstack([loop.d0, loop.s * loop.d1, loop.s * root @ loop.B1])
+
+    def gains(frequency: Array) -> Array:
+        shift = np.exp(1j * frequency)[:, None, None] * np.eye(len(loop.A0))
+        transfer = C @ np.linalg.solve(shift - loop.A0, loop.B0.astype(complex)) + D
+        return np.linalg.norm(transfer, 2, axis=(1, 2))
+
+    modes = np.abs(np.angle(np.linalg.eigvals(loop.A0)))
+    frequency = np.unique(np.concatenate([np.linspace(0, np.pi, FREQUENCIES), modes]))
+    found = gains(frequency)
+    best = int(found.argmax())
+    nearby = frequency[max(best - 1, 0)], frequency[min(best + 1, len(frequency) - 1)]
+    refined = minimize_scalar(lambda f: -gains(np.array([f]))[0], bounds=nearby, method="bounded")
+    return float(max(found[best], -refined.fun))
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What `analyze` finds. Gains and RMS in units of z per unit of w; see the module for the names.
+
+    ``simulated_rms`` is the RMS of a simulated error under white noise, ``simulated_sd`` its standard error,
+    and ``expected_rms`` what the covariance recursion has for the same step.
+    """
+
+    spectral_radius: float
+    peak_deterministic: float
+    peak_adapted: float
+    energy_deterministic: float
+    energy_adapted: float
+    white_rms: float
+    simulated_rms: float
+    simulated_sd: float
+    expected_rms: float
+
+    @property
+    def simulation_agrees(self) -> bool:
+        """Within six standard errors."""
+        return abs(self.simulated_rms - self.expected_rms) <= 6 * self.simulated_sd
+
+
+def analyze(plant: Plant, filter_: Filter) -> Analysis:
+    """Stability, gains, white-noise RMS and a simulation of the closed loop."""
+    loop = ClosedLoop.of(plant, filter_)
+    if loop.spectral_radius >= 1:
+        return Analysis(loop.spectral_radius, *[np.inf] * 5, *[np.nan] * 3)
+    return Analysis(
+        loop.spectral_radius,
+        peak_gain(loop, adapted=False),
+        peak_gain(loop, adapted=True),
+        energy_gain(loop, adapted=False),
+        energy_gain(loop, adapted=True),
+        float(np.sqrt(np.trace(loop.error_covariance))),
+        *simulated_rms(plant, filter_),
+    )
+
+
+def simulated_rms(
+    plant: Plant, filter_: Filter, runs: int = 2_000, steps: int = 200
+) -> tuple[float, float, float]:
+    """Error at the last of some steps from rest, under white noise: simulated, its standard error, expected.
+
+    Simulated are the plant and the filter as they stand in eqs. (10) and (11), late outputs and all.
+    """
+    rng = np.random.default_rng(1)
+    n, width, m, _ = plant.shape
+    x, x_f, y_before = np.zeros((runs, n)), np.zeros((runs, filter_.order)), np.zeros((runs, m))
+    loop = ClosedLoop.of(plant, filter_)
+    P = np.zeros_like(loop.A0)
+    e = np.zeros(runs)
+    for step in range(steps):
+        w = rng.standard_normal((runs, width))
+        y = x @ plant.C.T + w @ plant.D.T
+        received = np.where(rng.random((runs, 1)) < plant.rho, y, y_before)
+        if step == steps - 1:
+            e = x @ plant.H.T - x_f @ filter_.Cf.T - received @ filter_.Df.T
+        else:
+            P = loop.carried(P)
+        x_f = x_f @ filter_.Af.T + received @ filter_.Bf.T
+        x, y_before = x @ plant.A.T + w @ plant.B.T, y
+    square = (e**2).sum(axis=1)
+    rms = float(np.sqrt(square.mean()))
+    sd = float(square.std() / np.sqrt(runs) / (2 * rms)) if rms > 0 else 0.0
+    return rms, sd, float(np.sqrt(np.trace(loop.error_of(P))))

@@ -1,0 +1,77 @@
+"""Plants for `fleetalign lmi` in TOML, and mistakes in them told in one line."""
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from ..align.lmi.plant import MATRICES, Plant, checked_polytope
+from .command_line import InputError
+
+PLANT_FOLDER = resources.files("fleetalign.scenarios.plants")
+PLANT_KEYS = {"title", "rho", "vertex", *MATRICES}
+
+
+def plant_names() -> list[str]:
+    """Names of the bundled plants."""
+    return sorted(f.name.removesuffix(".toml") for f in PLANT_FOLDER.iterdir() if f.name.endswith(".toml"))
+
+
+def load_plant(name_or_path: str) -> tuple[str, tuple[Plant, ...]]:
+    """Title and vertices of a bundled plant or of a TOML file.
+
+    The file holds ``title``, ``rho`` (1 by default) and the matrices A, B, C, D, H as lists of rows; or, for
+    a polytope, a table ``[[vertex]]`` with the five for each vertex. Raises `InputError`: file, field, value,
+    what is allowed.
+    """
+    try:
+        if name_or_path in plant_names():
+            text = PLANT_FOLDER.joinpath(name_or_path + ".toml").read_text("utf-8")
+        else:
+            text = Path(name_or_path).read_text("utf-8-sig")
+        content = tomllib.loads(text)
+    except OSError as error:
+        why = f"cannot be read: {error.strerror}"
+        if not name_or_path.endswith(".toml"):
+            why = f"neither a bundled plant ({', '.join(plant_names())}) nor a .toml file"
+        raise InputError(f"{name_or_path}: {why}") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{name_or_path}: not TOML: {error}") from error
+    try:
+        title = content.get("title", Path(name_or_path).stem)
+        if not isinstance(title, str):
+            raise ValueError(f"title = {title!r}: must be text")
+        return title, _vertices(content)
+    except ValueError as error:
+        raise InputError(f"{name_or_path}: {error}") from error
+
+
+def _vertices(content: dict[str, Any]) -> tuple[Plant, ...]:
+    rho, tables = content.get("rho", 1.0), content.get("vertex")
+    if tables is None:
+        _refuse_unknown(content, PLANT_KEYS)
+        return (_plant(content, rho),)
+    _refuse_unknown(content, PLANT_KEYS - set(MATRICES))
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise ValueError("vertex: must be tables, each under [[vertex]]")
+    plants = []
+    for number, table in enumerate(tables, 1):
+        try:
+            _refuse_unknown(table, set(MATRICES))
+            plants.append(_plant(table, rho))
+        except ValueError as error:
+            raise ValueError(f"vertex {number}: {error}") from error
+    return checked_polytope(plants)
+
+
+def _refuse_unknown(table: dict[str, Any], known: set[str]) -> None:
+    for key in table:
+        if key not in known:
+            raise ValueError(f"{key}: unknown field; known are {', '.join(sorted(known))}")
+
+
+def _plant(table: dict[str, Any], rho: Any) -> Plant:
+    for name in MATRICES:
+        if name not in table:
+            raise ValueError(f"{name}: missing")
+    return Plant(**{name: table[name] for name in MATRICES}, rho=rho)

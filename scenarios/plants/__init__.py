@@ -1,0 +1,1 @@
+"""Plants for `fleetalign lmi` that come with fleetalign, one TOML a plant."""
