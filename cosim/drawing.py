@@ -34,13 +34,13 @@ def svg(figure: Figure) -> str:
 
 
 def panels(
-    rows: int, columns: int, height_in: float, hspace: float = 0.15
+    rows: int, columns: int, height_in: float, hspace: float = 0.15, top_in: float = 0.42
 ) -> tuple[Figure, NDArray[np.object_]]:
-    """A figure of the page's width and its axes (rows, columns), with room above for `legend`."""
+    """A figure of the page's width and its axes (rows, columns), with ``top_in`` above them for `legend`."""
     figure = Figure(figsize=(WIDTH_IN, height_in))
     axes = figure.subplots(rows, columns, squeeze=False)
     left, wspace = 0.75 / WIDTH_IN, 0.24
-    bottom, top = 0.5 / height_in, 1 - 0.42 / height_in
+    bottom, top = 0.5 / height_in, 1 - top_in / height_in
     figure.subplots_adjust(left=left, right=0.99, bottom=bottom, top=top, wspace=wspace, hspace=hspace)
     return figure, axes
 

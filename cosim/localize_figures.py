@@ -1,10 +1,13 @@
 """The figures of `localize`, as SVG text."""
 
+from typing import Any
+
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
 from ..network.indicators import BASE_LINE_S
+from ..network.record import Array
 from ..sins.units import MILLISECOND
 from .drawing import STYLE, legend, log_scale, panels, svg
 from .localize import LocalizeResults
@@ -13,42 +16,69 @@ from .localize_paper import RADII_M, RANGING_ERRORS, Figure2
 from .localize_verdicts import COVERAGE_AT_40, ERROR_AT_5, TABLE_2
 from .network_figures import draw_network
 from .network_score import NetworkScore
-from .still import PROTOCOLS
+from .still import PROTOCOLS, mean_known
 
 COLORS = {"dmdg": "#3D8FD1", "leach": "#D55E00"}
 NAMES = {"dmdg": "DMDG", "leach": "LEACH"}
-_FLIGHT_COLORS = ("#9A9A9A", "#E69F00", "#3D8FD1", "#009E73")
+# Where two curves coincide, the thin one stands on the wide one.
+_PROTOCOL_LOOKS: dict[str, Any] = {
+    "dmdg": {"linewidth": 3.5, "marker": "o", "markersize": 6},
+    "leach": {"linewidth": 1.2, "marker": "s", "markersize": 2.5},
+}
+_FLIGHT_LOOKS: dict[str, Any] = {
+    "ranges alone": {"color": "#A8A8A8", "linewidth": 4.0},
+    "ranges and altitude": {"color": "#D55E00", "linewidth": 1.3},
+    "ranges and range rates": {"color": "#74B6EC", "linewidth": 4.0},
+    "ranges, range rates, altitude": {"color": "#00573F", "linewidth": 1.3},
+}
+RUNNING_S = 20.0
+"""Span of the running mean in the figure of the fleet's RMSE: less noise, so that its curves come apart."""
 
 
 def draw_localize(results: LocalizeResults) -> dict[str, str]:
-    """SVG elements by name: ``delays``, ``figure_2``, ``figure_3``, and of each protocol `draw_network`'s."""
+    """SVG elements by name.
+
+    These are ``delays``, ``figure_2``, ``figure_3``, ``fleet``, and of each protocol those of `draw_network`.
+    """
     figures = {
         f"{kind}_{name}": figure
         for kind in PROTOCOLS
         for name, figure in draw_network(results.records[kind], results.scores[kind]).items()
     }
     with mpl.rc_context(STYLE):
-        figures["delays"] = svg(_delays(results.scores))
+        figures["delays"] = svg(draw_delays(results.scores))
         figures["figure_2"] = svg(_figure_2(results.figure_2))
         figures["figure_3"] = svg(_figure_3(results.figure_3))
+        figures["fleet"] = svg(_fleet(results.figure_3))
     return figures
 
 
-def _delays(scores: dict[str, NetworkScore]) -> Figure:
-    """How many packets of the fleet exceed what delay."""
-    figure, ((ax,),) = panels(1, 1, 3.0)
+def draw_delays(scores: dict[str, NetworkScore]) -> Figure:
+    """How many packets of the fleet exceed what delay. Those that never arrive are later than any."""
+    figure, ((ax,),) = panels(1, 1, 3.4)
+    last = max((float(s.fleet_delay.max()) for s in scores.values() if len(s.fleet_delay)), default=0.1)
+    edge = max(3 * last / MILLISECOND, 200.0)
     for kind, score in scores.items():
-        delay = np.sort(score.fleet_delay) / MILLISECOND
-        # Packets that never arrive are later than any.
-        share = 1 - np.arange(1, len(delay) + 1) / score.sent
+        color, sent = COLORS[kind], max(score.sent, 1)
+        delay = np.concatenate([[0.0], np.sort(score.fleet_delay) / MILLISECOND])
+        share = 1 - np.arange(len(delay)) / sent
         kept = np.unique(np.linspace(0, len(delay) - 1, 600).astype(int))
-        label = f"{NAMES[kind]}: {score.delivered / score.sent:.1%} delivered".replace("%", " %")
-        ax.plot(delay[kept], share[kept], color=COLORS[kind], linewidth=1.6, label=label)
-    ax.axvline(
-        BASE_LINE_S / MILLISECOND, color="black", linewidth=1.2, label=f"{BASE_LINE_S / MILLISECOND:g} ms"
-    )
-    ax.set(xscale="log", xlim=(1, None), ylim=(0, 1))
-    ax.set(xlabel="delay, ms", ylabel="share of all packets sent that take longer")
+        label = f"{NAMES[kind]}: {_percent(score.delivered / sent)} delivered"
+        ax.plot(delay[kept], share[kept], color=color, linewidth=1.6, label=label)
+        if score.delivered < score.sent:
+            lost = score.sent - score.delivered - score.queued
+            ax.plot([delay[-1], edge], [share[-1]] * 2, color=color, linewidth=1.6, linestyle=":")
+            ax.plot(delay[-1], share[-1], color=color, marker="o", markersize=5)
+            never = (
+                f"{NAMES[kind]}'s others never arrive: {_percent(score.queued / sent)} in queues when time"
+            )
+            text = f"{never} ends, {_percent(lost / sent)} lost"
+            place = {"xytext": (0, -6), "textcoords": "offset points", "ha": "right", "va": "top"}
+            ax.annotate(text, (edge, share[-1]), color=color, **place)
+    label = f"{BASE_LINE_S / MILLISECOND:g} ms"
+    ax.axvline(BASE_LINE_S / MILLISECOND, color="black", linewidth=1.2, label=label)
+    ax.set(xscale="log", xlim=(1, edge), ylim=(0, 1.02))
+    ax.set(xlabel="delay, ms", ylabel="share of packets that take longer")
     ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     legend(figure, ax)
     return figure
@@ -61,7 +91,7 @@ def _figure_2(found: Figure2) -> Figure:
     for column, radius in enumerate(RADII_M):
         coverage, error = axes[0][column], axes[1][column]
         for kind in PROTOCOLS:
-            look = {"color": COLORS[kind], "marker": "o", "markersize": 3, "label": NAMES[kind]}
+            look = {"color": COLORS[kind], "label": NAMES[kind], **_PROTOCOL_LOOKS[kind]}
             coverage.plot(percent, 100 * found.coverage[kind][column], **look)
             error.plot(percent, 100 * found.relative[kind][column], **look)
         look = {"linestyle": "none", "marker": "*", "markersize": 11, "markeredgecolor": "black"}
@@ -81,26 +111,46 @@ def _figure_2(found: Figure2) -> Figure:
 
 
 def _figure_3(found: Figure3) -> Figure:
-    """Left the own ship's error, right the RMSE of the fleet, with the bound of ranges alone."""
-    figure, axes = panels(3, 2, 6.4, hspace=0.12)
+    """The own ship's error, a column for each set of measurements, with the bound of ranges alone."""
+    figure, axes = panels(3, len(found.error), 5.6, hspace=0.12, top_in=0.62)
     for row, axis in enumerate(("east", "north", "up")):
-        own, fleet = axes[row]
-        for color, (name, error) in zip(_FLIGHT_COLORS, found.error.items(), strict=True):
-            own.plot(found.time, error[:, row], color=color, linewidth=0.8, label=name)
-            fleet.plot(found.time, found.fleet_rmse[name][:, row], color=color, linewidth=1.0, label=name)
-        for side in (-1, 1):
-            own.axhline(side * found.bound[row], color="black", linestyle="--", linewidth=0.9)
-        label = "bound of ranges alone"
-        own.plot([], [], color="black", linestyle="--", linewidth=0.9, label=label)
-        printed = TABLE_2["rmse_m"][row]
-        fleet.axhline(printed, color="black", linestyle=":", linewidth=1.1, label="RMSE in Table 2")
-        own.set_ylabel(f"own ship's error {axis}, m")
-        fleet.set_ylabel(f"RMSE of the fleet {axis}, m")
-        log_scale(fleet)
-        for ax in (own, fleet):
+        reach = 1.1 * max(float(np.nanmax(np.abs(e[:, row]), initial=1.0)) for e in found.error.values())
+        for ax, (name, error) in zip(axes[row], found.error.items(), strict=True):
+            ax.plot(found.time, error[:, row], color=_FLIGHT_LOOKS[name]["color"], linewidth=0.8)
+            label = "bound of ranges alone, one sigma"
+            for side in (-1, 1):
+                height = side * found.bound[row]
+                ax.axhline(height, color="black", linestyle="--", linewidth=0.9, label=label)
+            ax.set(xlim=(0, found.time[-1]), ylim=(-reach, reach))
             ax.tick_params(labelbottom=row == 2)
-            ax.set_xlim(0, found.time[-1])
+            if row == 0:
+                ax.set_title(name)
             if row == 2:
                 ax.set_xlabel("time from the start, s")
-    legend(figure, axes[0][0], axes[0][1])
+        axes[row][0].set_ylabel(f"error {axis}, m")
+    legend(figure, axes[0][0])
     return figure
+
+
+def _fleet(found: Figure3) -> Figure:
+    """The fleet's RMSE. Two curves may coincide: a thin one stands on a wide one of the other colour."""
+    figure, (axes,) = panels(1, 3, 3.2)
+    for column, (ax, axis) in enumerate(zip(axes, ("east", "north", "up"), strict=True)):
+        for name, rmse in found.fleet_rmse.items():
+            ax.plot(found.time, _running(rmse[:, column], found.time), label=name, **_FLIGHT_LOOKS[name])
+        printed = TABLE_2["rmse_m"][column]
+        ax.axhline(printed, color="black", linestyle=":", linewidth=1.3, label="Table 2, own ship")
+        log_scale(ax)
+        ax.set(xlabel="time from the start, s", xlim=(0, found.time[-1]), ylabel=f"RMSE {axis}, m")
+    legend(figure, axes[0])
+    return figure
+
+
+def _running(rmse: Array, time: Array) -> Array:
+    """Root of the mean square within `RUNNING_S` around each instant, of what is known."""
+    near = np.abs(time[:, None] - time) <= RUNNING_S / 2
+    return np.sqrt([mean_known(rmse[among] ** 2) for among in near])
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from .localize import LocalizeResults, LocalizeStudy
-from .localize_figures import NAMES, draw_localize
+from .localize_figures import NAMES, RUNNING_S, draw_localize
 from .localize_flight import BARO_SD_M, RANGE_SD_M, table_2
 from .localize_paper import EQUATIONS_RADIUS_M, RADII_M, RANGING_ERRORS, TABLE_1
 from .localize_verdicts import TABLE_2, figure_2_verdicts, figure_3_verdicts
@@ -77,6 +77,7 @@ def write_localize(
         command=command,
         names=NAMES,
         rows=indicator_rows(summary),
+        running_s=RUNNING_S,
     )
 
 

@@ -154,8 +154,8 @@ def figure_3_verdicts(figure: Figure3) -> list[Verdict]:
             "on any axis" if not any(normal) else "on all axes together",
             f"RMSE over absolute error is {', '.join(f'{s:.2f}' for s in shape)} there and"
             f" {', '.join(beside)} here: theirs is no mean size of a normal error. The relative"
-            f" errors imply lengths of {', '.join(f'{x:.1f}' for x in lengths)} km, ours are over the mean link of"
-            f" {number(figure.range / 1000, 1)} km.",
+            f" errors imply lengths of {', '.join(f'{x:.1f}' for x in lengths)} km, ours are over the mean"
+            f" link of {number(figure.range / 1000, 1)} km.",
         )
     )
     return verdicts

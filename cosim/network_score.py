@@ -14,6 +14,7 @@ from ..sins.units import MILLISECOND
 
 MADE = (FixFate.DELIVERED, FixFate.NO_ROUTE, FixFate.LOST, FixFate.STILL_QUEUED)
 """Fates of fixes that the estimator gave; with the others there was nothing to send."""
+_COUNTS = ("sent", "delivered", "queued", "transmissions", "slots_used", "slots")
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,8 @@ class NetworkScore:
     coverage : share of the epochs of nodes that are no anchors whose nodes are located.
     position_rmse, position_sd : m, root mean square distance of located nodes that are no anchors from the
         truth, and what the estimator states for it.
-    sent, delivered : packets. transmissions, slots : used and gone by.
+    sent, delivered, queued : packets; the last were on their way when time ended. transmissions, slots :
+        used and gone by.
     """
 
     runs: int
@@ -47,6 +49,7 @@ class NetworkScore:
     position_sd: float
     sent: int
     delivered: int
+    queued: int
     transmissions: int
     slots_used: int
     slots: int
@@ -78,6 +81,7 @@ class NetworkScore:
             "fates": {fate.name.lower(): count for fate, count in self.fates.items()},
             "fixes_delivered": _share(self.fates[FixFate.DELIVERED], fixes),
             "packets_delivered": _share(self.delivered, self.sent),
+            "packets_still_queued": _share(self.queued, self.sent),
             "transmissions_per_packet": _share(self.transmissions, self.delivered),
             "slots_used": _share(self.slots_used, self.slots),
         }
@@ -138,9 +142,7 @@ class NetworkScorer:
         squares = [np.sum(x[located] ** 2) for x in (record.error_n, record.sd_n)]
         sums = np.array([located.sum(), (~record.anchor).sum() * len(record.time), *squares])
         fates = np.bincount(record.fate, minlength=len(FixFate))
-        packets = np.array(
-            [record.sent, record.delivered, record.transmissions, record.slots_used, record.slots]
-        )
+        packets = np.array([getattr(record, name) for name in _COUNTS])
         self._rows.append(
             (error, cov.sum(axis=0), own_nees, arrived, record.fleet_delay, sums, fates, packets)
         )
@@ -154,7 +156,7 @@ class NetworkScorer:
         )
         error, all_nees = np.concatenate(errors), np.concatenate(runs_nees)
         located, blind, square, stated = np.sum(sums, axis=0)
-        sent, delivered, transmissions, slots_used, slots = (int(count) for count in np.sum(packets, axis=0))
+        counts = dict(zip(_COUNTS, np.sum(packets, axis=0).tolist(), strict=True))
         return NetworkScore(
             runs=len(self._rows),
             own_error=error,
@@ -167,11 +169,7 @@ class NetworkScorer:
             coverage=_share(located, blind),
             position_rmse=float(np.sqrt(_share(square, located))),
             position_sd=float(np.sqrt(_share(stated, located))),
-            sent=sent,
-            delivered=delivered,
-            transmissions=transmissions,
-            slots_used=slots_used,
-            slots=slots,
+            **counts,
         )
 
 

@@ -139,6 +139,7 @@ def fly_network(
         maker=maker,
         sent=len(traffic),
         delivered=int(deliveries.delivered.sum()),
+        queued=int((deliveries.fate == PacketFate.STILL_QUEUED).sum()),
         transmissions=int(deliveries.transmissions.sum()),
         slots_used=deliveries.slots_used,
         slots=deliveries.slots,

@@ -71,6 +71,8 @@ class NetworkRecord:
     """Packets handed to the network, of all nodes."""
     delivered: int
     """Packets that arrived, of all nodes."""
+    queued: int
+    """Packets still on their way when the network's time ended, of all nodes."""
     transmissions: int
     """Times that they were sent, retries included."""
     slots_used: int

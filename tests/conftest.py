@@ -110,6 +110,7 @@ def a_network_record():
             maker=0,
             sent=22 * k,
             delivered=20 * k,
+            queued=k // 2,
             transmissions=33 * k,
             slots_used=30 * k,
             slots=200 * k,

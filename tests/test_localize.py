@@ -11,7 +11,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from fleetalign.cosim import cli, localize_studies
+from fleetalign.cosim.drawing import svg
 from fleetalign.cosim.localize import LocalizeStudy, run_study
+from fleetalign.cosim.localize_figures import draw_delays
 from fleetalign.cosim.localize_flight import Figure3, flights, table_2
 from fleetalign.cosim.localize_paper import (
     RADII_M,
@@ -288,6 +290,18 @@ def test_a_study_holds_both_protocols(study, results):
     assert {"coverage", "RMSE / CRLB", "time synchronism", "link consumption"} <= set(names)
     assert len(summary["verdicts"]) == 9
     assert all(verdict["line"].endswith(".") for verdict in summary["verdicts"])
+
+
+def test_the_delay_figure_tells_what_becomes_of_packets_that_never_arrive(results):
+    def told(**changes):
+        return svg(draw_delays({"leach": replace(results.scores["leach"], **changes)}))
+
+    some = told(sent=1000, delivered=500, queued=180, fleet_delay=np.full(500, 0.2))
+    assert "LEACH: 50.0 % delivered" in some
+    assert "LEACH's others never arrive: 18.0 % in queues when time ends, 32.0 % lost" in some
+    none = told(sent=1000, delivered=0, queued=1000, fleet_delay=np.empty(0))
+    assert "never arrive: 100.0 % in queues" in none
+    assert "never arrive" not in told(sent=0, delivered=0, queued=0, fleet_delay=np.empty(0))
 
 
 def test_the_same_study_gives_the_same_results_on_one_core(study, flight, results, monkeypatch):

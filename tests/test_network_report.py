@@ -41,6 +41,7 @@ def test_counts_and_shares_are_those_of_the_records(summary):
     assert sum(summary["fates"].values()) == RUNS * EPOCHS
     assert summary["fixes_delivered"] == pytest.approx(1 - 3 / EPOCHS)
     assert summary["packets_delivered"] == pytest.approx(20 / 22)
+    assert summary["packets_still_queued"] == pytest.approx(0.5 / 22)
     assert summary["transmissions_per_packet"] == pytest.approx(33 / 20)
     assert summary["slots_used"] == pytest.approx(30 / 200)
 
