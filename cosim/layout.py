@@ -26,7 +26,7 @@ _ERRORS = {
     "east_m": "Position error east, m",
     "down_m": "Position error down, m",
 }
-_BIASES = {
+BIASES = {
     "accel_bias_{}_ug": "Accelerometer bias {}, ug",
     "gyro_bias_{}_deg_h": "Gyro bias {}, deg/h",
 }
@@ -39,14 +39,14 @@ _FLIGHT = {
 }
 
 
-_ALWAYS = rrb.VisibleTimeRanges(
+ALWAYS = rrb.VisibleTimeRanges(
     timeline=TIMELINE, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
 )
 
 
 def blueprint(flight: Flight, window: Flight, run: Run, errors: dict[str, Errors]) -> rrb.Blueprint:
     """Opens on the whole flight in space, the map and the attitude errors; the rest in tabs."""
-    aligning, whole = _axis(window), _axis(flight)
+    aligning, whole = whole_axis(window.time), whole_axis(flight.time)
 
     def error(channel: str) -> rrb.TimeSeriesView:
         return rrb.TimeSeriesView(
@@ -69,7 +69,7 @@ def blueprint(flight: Flight, window: Flight, run: Run, errors: dict[str, Errors
         rrb.Vertical(
             _profile(flight),
             rrb.Horizontal(
-                _scene(flight, window, run), rrb.MapView(origin="map", name="Map", zoom=_zoom(flight))
+                _scene(flight, window, run), rrb.MapView(origin="map", name="Map", zoom=zoom(flight.lla))
             ),
         ),
         rrb.Vertical(*map(error, attitude)),
@@ -86,7 +86,7 @@ def blueprint(flight: Flight, window: Flight, run: Run, errors: dict[str, Errors
             rrb.Grid(
                 *(
                     plot(f"imu/{key.format(axis)}", name.format(axis), aligning, axis == "x")
-                    for key, name in _BIASES.items()
+                    for key, name in BIASES.items()
                     for axis in "xyz"
                 ),
                 grid_columns=3,
@@ -138,7 +138,7 @@ def _scene(flight: Flight, window: Flight, run: Run) -> rrb.Spatial3DView:
         origin="scene",
         contents=["$origin/**", *(f"- scene/fixes/{name}/**" for name in others)],
         name="Alignment, true to scale",
-        overrides={f"scene/fixes/{name}": _ALWAYS for name in run.estimates},
+        overrides={f"scene/fixes/{name}": ALWAYS for name in run.estimates},
         eye_controls=rrb.EyeControls3D(
             position=start + 0.12 * length * right - 0.1 * length * down,
             look_target=0.5 * (start + middle),
@@ -183,16 +183,16 @@ def _along(displacement: Array) -> tuple[Array, Array, Array]:
     return along, np.cross(down, along), down
 
 
-def _zoom(flight: Flight) -> float:
-    """Zoom of the web map (256 pixels for the world at zoom 0) that shows the whole flight in 300 pixels."""
-    lat, lon = flight.lla[:, 0], flight.lla[:, 1]
+def zoom(lla: Array) -> float:
+    """Zoom of the web map (256 pixels for the world at zoom 0) that shows a whole path in 300 pixels."""
+    lat, lon = lla[:, 0], lla[:, 1]
     extent = max(float(np.ptp(lon)), float(np.ptp(lat)) / np.cos(lat[0]), 1e-5)
     return float(np.clip(np.log2(300 / 256 * 2 * np.pi / extent), 0, 19))
 
 
-def _axis(flight: Flight) -> rrb.TimeAxis:
-    """The whole of a flight, whatever the time cursor's place."""
-    start, end = (rr.TimeRangeBoundary.absolute(seconds=float(flight.time[i])) for i in (0, -1))
+def whole_axis(time: Array) -> rrb.TimeAxis:
+    """The whole of a time, whatever the time cursor's place."""
+    start, end = (rr.TimeRangeBoundary.absolute(seconds=float(time[i])) for i in (0, -1))
     return rrb.TimeAxis(link="independent", view_range=rr.TimeRange(start=start, end=end))
 
 

@@ -98,12 +98,19 @@ def manifest(name: str, scenario: Scenario, seed: int, runs: int, command: str) 
         "scenario_sha256": scenario.digest,
         "seed": seed,
         "runs": runs,
+        **surroundings(command),
+        "content": scenario.model_dump(mode="json"),
+    }
+
+
+def surroundings(command: str) -> dict[str, Any]:
+    """What a manifest says of the command, the time, the machine and the packages."""
+    return {
         "command": command,
         "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),
         "platform": platform.platform(),
         "versions": {package: metadata.version(package) for package in _PACKAGES},
-        "content": scenario.model_dump(mode="json"),
     }
 
 
@@ -158,27 +165,13 @@ class EstimatesWriter:
         columns: dict[str, Any] = {
             "run": np.full(m, run_id, np.int32),
             "filter": pa.DictionaryArray.from_arrays(np.zeros(m, np.int8), [name]).cast(pa.string()),
-            "time_s": estimate.time,
-            "lat_deg": estimate.lla[:, 0] / DEG,
-            "lon_deg": estimate.lla[:, 1] / DEG,
-            "height_m": estimate.lla[:, 2],
+            **navigation_columns(estimate),
         }
-        columns |= _columns(("v_north_mps", "v_east_mps", "v_down_mps"), estimate.v_n)
-        columns |= _columns(("roll_deg", "pitch_deg", "heading_deg"), attitude.to_euler(estimate.q_nb) / DEG)
         columns |= _columns([f"error_{c}" for c in COLUMNS], errors_against(self._truth, estimate))
         columns |= _columns(
             [f"sd_{c}" for c in COLUMNS], standard_deviations(self._truth, estimate, self._vibration_mps)
         )
-        columns |= _columns([f"accel_bias_{a}_ug" for a in "xyz"], estimate.accel_bias / MICRO_G)
-        columns |= _columns([f"gyro_bias_{a}_deg_h" for a in "xyz"], estimate.gyro_bias / DEG_PER_HOUR)
-        columns["delay_ms"] = estimate.delay / MILLISECOND
-        # Position and time need all digits; the rest is good to seven.
-        exact = ("run", "filter", "time_s", "lat_deg", "lon_deg", "height_m")
-        arrays = {
-            key: pa.array(value if key in exact else value.astype(np.float32), from_pandas=True)
-            for key, value in columns.items()
-        }
-        return pa.table(arrays)
+        return estimates_table(columns | bias_columns(estimate))
 
     def flush(self) -> None:
         """Write what was added."""
@@ -193,6 +186,38 @@ class EstimatesWriter:
         """End the file; what was not flushed is lost."""
         if self._writer is not None:
             self._writer.close()
+
+
+def navigation_columns(estimate: Estimate) -> dict[str, Any]:
+    """Time, position, velocity and attitude of `estimates.parquet`, (m,) each."""
+    columns = {
+        "time_s": estimate.time,
+        "lat_deg": estimate.lla[:, 0] / DEG,
+        "lon_deg": estimate.lla[:, 1] / DEG,
+        "height_m": estimate.lla[:, 2],
+    }
+    columns |= _columns(("v_north_mps", "v_east_mps", "v_down_mps"), estimate.v_n)
+    return columns | _columns(
+        ("roll_deg", "pitch_deg", "heading_deg"), attitude.to_euler(estimate.q_nb) / DEG
+    )
+
+
+def bias_columns(estimate: Estimate) -> dict[str, Any]:
+    """Biases and delay of `estimates.parquet`, (m,) each."""
+    columns = _columns([f"accel_bias_{a}_ug" for a in "xyz"], estimate.accel_bias / MICRO_G)
+    columns |= _columns([f"gyro_bias_{a}_deg_h" for a in "xyz"], estimate.gyro_bias / DEG_PER_HOUR)
+    return columns | {"delay_ms": estimate.delay / MILLISECOND}
+
+
+def estimates_table(columns: dict[str, Any]) -> pa.Table:  # pyright: ignore[reportUnknownParameterType]
+    """The columns as a table, NaN as null."""
+    # Position and time need all digits; the rest is good to seven.
+    exact = ("run", "filter", "time_s", "lat_deg", "lon_deg", "height_m")
+    arrays = {
+        key: pa.array(value if key in exact else value.astype(np.float32), from_pandas=True)
+        for key, value in columns.items()
+    }
+    return pa.table(arrays)
 
 
 def _columns(names: Any, values: Array) -> dict[str, Array]:

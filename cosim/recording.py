@@ -85,15 +85,16 @@ def write_recording(
     draw_flight(columns, flight, window, every)
     _plot_flight(columns, flight, every)
     _plot_errors(columns, errors)
-    _plot_biases(columns, started, run, every)
+    _plot_drawn_biases(columns, run, every)
+    plot_biases(columns, started)
     if started:
-        _plot_delay(columns, started, fixes)
-        _plot_nis(columns, started, fixes)
+        plot_delay(columns, started, fixes)
+        plot_nis(columns, started, fixes)
     for name, estimate in started.items():
-        draw_track(columns, flight, name, estimate)
+        draw_track(columns, flight.lla[0], name, estimate)
     for name, estimate in run.estimates.items():
-        draw_fixes(columns, flight, name, estimate, fixes)
-        _tell_outcomes(columns, name, estimate, fixes)
+        draw_fixes(columns, flight.lla[0], name, estimate, fixes)
+        tell_outcomes(columns, name, estimate, fixes)
     if run.network is not None:
         draw_network(columns, run.network, float(flight.time[0]))
     rec.flush()
@@ -149,8 +150,8 @@ def _plot_errors(columns: Columns, errors: dict[str, layout.Errors]) -> None:
                 columns.line(path, time, error, color, name)
 
 
-def _plot_biases(columns: Columns, estimates: dict[str, Estimate], run: Run, every: int) -> None:
-    """Estimated biases of the sensors, and those that the run drew."""
+def _plot_drawn_biases(columns: Columns, run: Run, every: int) -> None:
+    """Biases of the sensors that the run drew."""
     drawn, time = run.imu.errors, run.imu.time[::every]
     for channel, unit, constant, variation in (
         ("accel_bias_{}_ug", MICRO_G, drawn.accel_bias, drawn.accel_bias_variation),
@@ -159,6 +160,10 @@ def _plot_biases(columns: Columns, estimates: dict[str, Estimate], run: Run, eve
         truth = constant + (np.zeros((len(run.imu.time), 3)) if variation is None else variation)
         for axis, values in zip("xyz", truth[::every].T / unit, strict=True):
             columns.line(f"imu/{channel.format(axis)}/drawn", time, values, TRUTH, "drawn")
+
+
+def plot_biases(columns: Columns, estimates: dict[str, Estimate]) -> None:
+    """Estimated biases of the sensors."""
     for name, e in estimates.items():
         started = np.isfinite(e.accel_bias).all(axis=1)
         time, color = e.time[started], filter_color(name)
@@ -172,7 +177,7 @@ def _plot_biases(columns: Columns, estimates: dict[str, Estimate], run: Run, eve
                 columns.three_sigma(path, time, value, sd[started, i] / unit, color, name)
 
 
-def _plot_delay(columns: Columns, estimates: dict[str, Estimate], fixes: Fixes) -> None:
+def plot_delay(columns: Columns, estimates: dict[str, Estimate], fixes: Fixes) -> None:
     """The delay of each fix, and the mean delay of those filters that estimate it."""
     delay = (fixes.t_arrival - fixes.t_valid) / MILLISECOND
     columns.points("delay/drawn", fixes.t_arrival, delay, TRUTH, "each fix", size=2.0)
@@ -185,7 +190,7 @@ def _plot_delay(columns: Columns, estimates: dict[str, Estimate], fixes: Fixes) 
             columns.three_sigma(f"delay/{name}", time, mean, sd, color, name)
 
 
-def _plot_nis(columns: Columns, estimates: dict[str, Estimate], fixes: Fixes) -> None:
+def plot_nis(columns: Columns, estimates: dict[str, Estimate], fixes: Fixes) -> None:
     """Each fix's normalised innovation squared, with the band that most should keep to."""
     for name, estimate in estimates.items():
         computed = np.isfinite(estimate.nis)
@@ -196,7 +201,7 @@ def _plot_nis(columns: Columns, estimates: dict[str, Estimate], fixes: Fixes) ->
     columns.line("nis/limits", fixes.t_arrival[[0, -1]], limits, TRUTH, name, width=1.0)
 
 
-def _tell_outcomes(columns: Columns, name: str, estimate: Estimate, fixes: Fixes) -> None:
+def tell_outcomes(columns: Columns, name: str, estimate: Estimate, fixes: Fixes) -> None:
     """A lane of outcomes, and a line of text for each fix that was not fused."""
     words = {outcome: told(outcome.name) for outcome in FixOutcome}
     lane = rr.StateConfiguration(

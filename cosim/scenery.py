@@ -93,11 +93,11 @@ def _draw_profile(columns: Columns, flight: Flight, window: Flight, time: Array,
     columns.static("profile/phases", marks)
 
 
-def draw_track(columns: Columns, flight: Flight, name: str, estimate: Estimate) -> None:
-    """Where a filter took the aircraft to be, with its 3-sigma ellipsoid."""
+def draw_track(columns: Columns, origin: Array, name: str, estimate: Estimate) -> None:
+    """Where a filter took the vehicle to be, with its 3-sigma ellipsoid; ``origin``: lla of the scene."""
     started = np.isfinite(estimate.lla).all(axis=1)
     lla, color = estimate.lla[started], filter_color(name)
-    ned = local_ned(lla, flight.lla[0])
+    ned = local_ned(lla, origin)
     ellipsoids = rr.Ellipsoids3D.columns(centers=ned, half_sizes=3 * estimate.sd[started, POSITION])
     columns.static(f"scene/filters/{name}/path", _strips([ned], color, 1.5))
     columns.static(f"scene/filters/{name}/three_sigma", rr.Ellipsoids3D.from_fields(colors=[rgb(color)]))
@@ -105,7 +105,7 @@ def draw_track(columns: Columns, flight: Flight, name: str, estimate: Estimate) 
     columns.static(f"map/filters/{name}", _map_line(lla[:, :2] / DEG, color))
 
 
-def draw_fixes(columns: Columns, flight: Flight, name: str, estimate: Estimate, fixes: Fixes) -> None:
+def draw_fixes(columns: Columns, origin: Array, name: str, estimate: Estimate, fixes: Fixes) -> None:
     """Fixes, in order of arrival, in the colours of what a filter made of them."""
     seen = np.isfinite(fixes.lla).all(axis=1)
     outcomes = [FixOutcome(outcome) for outcome in estimate.fix_outcome[seen]]
@@ -113,7 +113,7 @@ def draw_fixes(columns: Columns, flight: Flight, name: str, estimate: Estimate, 
         return
     colors = np.array([rgb(OUTCOME_COLORS[outcome]) for outcome in outcomes], np.uint8)
     points = rr.Points3D.columns(
-        positions=local_ned(fixes.lla[seen], flight.lla[0]),
+        positions=local_ned(fixes.lla[seen], origin),
         colors=colors,
         radii=np.full(len(outcomes), 2 * PIXELS),
     )

@@ -1,7 +1,7 @@
 """Columns of numbers in CSV and Parquet files, checked as they are read."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -44,12 +44,18 @@ class TableError(ValueError):
 
 
 def read_columns(
-    file: Path, required: Iterable[str], optional: Iterable[str] = (), *, refuse_others: bool = False
+    file: Path,
+    required: Iterable[str],
+    optional: Iterable[str] = (),
+    *,
+    refuse_others: bool = False,
+    may_lack: Collection[str] = (),
 ) -> dict[str, Array]:
-    """The named columns of a CSV or Parquet file, finite float64, each (k,), without absent optional ones.
+    """The named columns of a CSV or Parquet file, float64, each (k,), without absent optional ones.
 
     Raises `TableError` for a file that cannot be read, a missing, repeated or (``refuse_others``) unknown
-    column, and for a cell that is not a finite number.
+    column, and for a cell that is not a finite number; in the columns ``may_lack`` an empty cell or one
+    that is no number as such (NaN, infinity) is NaN.
     """
     required, optional = list(required), list(optional)
     table = _read_table(file)
@@ -63,7 +69,8 @@ def read_columns(
     unknown = [name for name in names if name not in required + optional]
     if unknown and refuse_others:
         raise TableError(file, f"unknown column {', '.join(unknown)}")
-    return {name: _numbers(file, name, table) for name in required + optional if name in names}
+    present = [name for name in required + optional if name in names]
+    return {name: _numbers(file, name, table, name in may_lack) for name in present}
 
 
 def write_columns(columns: Mapping[str, ArrayLike], file: Path) -> None:
@@ -106,17 +113,20 @@ def _read_table(file: Path) -> pa.Table:  # pyright: ignore[reportUnknownParamet
         raise TableError(file, " ".join(str(error).split())) from error
 
 
-def _numbers(file: Path, column: str, table: pa.Table) -> Array:  # pyright: ignore[reportUnknownParameterType]
+def _numbers(file: Path, column: str, table: pa.Table, may_lack: bool) -> Array:  # pyright: ignore[reportUnknownParameterType]
     cells = table.column(column)
     kind = cells.type
     if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)):
         # One odd cell makes its whole column text: find it for the message.
         for row, cell in enumerate(cells.to_pylist(), start=1):
-            if not _is_finite_number(cell):
+            if not (_is_finite_number(cell) or (may_lack and cell is None)):
                 raise _not_finite(file, column, row, cell)
         raise TableError(file, f"holds {kind}, not numbers", column)
     values = cells.cast(pa.float64(), safe=False).to_numpy()
-    bad = np.flatnonzero(~np.isfinite(values))
+    finite = np.isfinite(values)
+    if may_lack:
+        return np.where(finite, values, np.nan)
+    bad = np.flatnonzero(~finite)
     if bad.size:
         raise _not_finite(file, column, int(bad[0]) + 1, cells[int(bad[0])].as_py())
     return values

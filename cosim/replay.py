@@ -1,0 +1,218 @@
+"""A replay: the filters on a recording, and what there is to say of them without a truth."""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..align.consistency import mean_band
+from ..align.estimate import Array, Estimate, FixOutcome
+from ..align.filters import FILTERS, DelayModel, FilterSettings, align
+from ..network.fixes import Fixes
+from ..network.tables import TableError
+from ..sins import attitude
+from ..sins.error_model import ACCEL, GYRO, POSITION, VELOCITY
+from ..sins.units import DEG, DEG_PER_HOUR, MICRO_G, MILLISECOND
+from .replay_checks import check_imu, check_together, check_upright, course_offset
+from .replay_map import ReplayError, ReplayMap
+from .replay_read import RecordedImu, read_imu, read_recorded_fixes
+from .replay_time import TimeBase
+
+COMPONENTS = ("north_m", "east_m", "down_m", "v_north_mps", "v_east_mps", "v_down_mps")
+"""Of an innovation."""
+_PER_FIX = ("innovation", "nis", "fix_time", "fix_outcome")
+_MOST_ROWS = 200_000
+"""Of the history from which standard deviations of innovations are taken."""
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What was read of a recording, and what the filters made of it.
+
+    ``estimates`` at the output rate, ``innovation_sd`` (k, 6) in m and m/s, both by filter; ``fixes`` in
+    order of arrival.
+    """
+
+    files: tuple[Path, Path]
+    settings: ReplayMap
+    imu: RecordedImu
+    fixes: Fixes
+    fix_base: TimeBase
+    checks: dict[str, float | None]
+    estimates: dict[str, Estimate]
+    innovation_sd: dict[str, Array]
+
+    @property
+    def started(self) -> dict[str, Estimate]:
+        """Estimates of those filters that had a fix to start from."""
+        return {name: e for name, e in self.estimates.items() if np.isfinite(e.lla).any()}
+
+
+def replay(
+    imu_file: Path, fixes_file: Path, settings: ReplayMap, progress: Callable[[float, float], None]
+) -> Replay:
+    """Read, check and align. Raises `ReplayError`, one line: file, row or column, value, what is allowed."""
+    assert settings.initial is not None
+    steps = len(settings.alignment.filters) + 1
+    try:
+        imu = read_imu(imu_file, settings.recorded, settings.initial.time_s)
+        checks: dict[str, float | None] = {**check_imu(imu_file, imu, settings.recorded.imu)}
+        q_nb = attitude.from_euler(*settings.euler)
+        checks["tilt_deg"] = check_upright(imu_file, imu, q_nb, settings.recorded.imu) / DEG
+        fixes, fix_base = read_recorded_fixes(fixes_file, settings.recorded)
+    except TableError as error:
+        raise ReplayError(str(error)) from error
+    checks |= check_together((imu_file, fixes_file), imu, fixes, settings.recorded)
+    offset = course_offset(fixes, float(settings.euler[2]))
+    checks["heading_minus_course_deg"] = None if offset is None else offset / DEG
+    progress(1, steps)
+    estimates, innovation_sd = {}, {}
+    for done, name in enumerate(settings.alignment.filters, start=2):
+        estimates[name], innovation_sd[name] = _aligned(FILTERS[name], imu, fixes, settings)
+        progress(done, steps)
+    files = imu_file, fixes_file
+    return Replay(files, settings, imu, fixes, fix_base, checks, estimates, innovation_sd)
+
+
+def _aligned(
+    delay: DelayModel, imu: RecordedImu, fixes: Fixes, settings: ReplayMap
+) -> tuple[Estimate, Array]:
+    """Estimate at the output rate, and standard deviations of its innovations, (k, 6)."""
+    filter_settings, dt = settings.settings, imu.base.interval_s
+    # A history of every sample tells what a fix met; a thinner one is kept.
+    wanted = max(1, round(1 / (filter_settings.output_rate_hz * dt)))
+    finer = max(1, len(imu.time) // _MOST_ROWS)
+    kept = max(1, round(wanted / finer))
+    every = finer if kept > 1 else wanted
+    rate = min(1 / (every * dt), 1000.0)
+    estimate = align(
+        imu.time,
+        imu.dtheta_b,
+        imu.dv_b,
+        attitude.from_euler(*settings.euler),
+        fixes,
+        delay,
+        filter_settings.model_copy(update={"output_rate_hz": rate}),
+        settings.imu,
+        settings.gravity_model,
+    )
+    sd = _innovation_sd(estimate, fixes, delay, filter_settings, settings.imu.vibration_mps)
+    return _thinned(estimate, kept), sd
+
+
+def _thinned(estimate: Estimate, every: int) -> Estimate:
+    rows = np.unique(np.append(np.arange(every - 1, len(estimate.time), every), len(estimate.time) - 1))
+    histories = {
+        name: value[rows]
+        for name, value in vars(estimate).items()
+        if isinstance(value, np.ndarray) and name not in _PER_FIX
+    }
+    return replace(estimate, **histories)
+
+
+def _innovation_sd(
+    estimate: Estimate, fixes: Fixes, delay: DelayModel, settings: FilterSettings, vibration_mps: float
+) -> Array:
+    """Standard deviations that the filter gave its innovations, (k, 6); NaN where there was no update.
+
+    From the row before the fix. The covariance of a delay that is estimated is left out: along the track
+    they are too large by what position and delay have in common.
+    """
+    row = np.searchsorted(estimate.time, estimate.fix_time - 1e-6) - 1
+    known = (row >= 0) & np.isfinite(estimate.fix_time)
+    row = np.maximum(np.where(known, row, 0), 0)
+    moving = np.hstack([estimate.v_n, np.gradient(estimate.v_n, estimate.time, axis=0)])[row]
+    spread_ms = {DelayModel.STAMPED: settings.stamp_sd_ms, DelayModel.ESTIMATED: settings.delay_sd_ms}
+    variance = estimate.sd[row][:, [*range(POSITION.start, VELOCITY.stop)]] ** 2
+    variance += np.einsum("kii->ki", fixes.cov) + (moving * spread_ms.get(delay, 0.0) * MILLISECOND) ** 2
+    variance[:, 3:] += vibration_mps**2
+    return np.where(known[:, None], np.sqrt(variance), np.nan)
+
+
+def attitude_sd(estimate: Estimate) -> Array:
+    """Standard deviations of roll, pitch and heading, rad, (m, 3), at the estimated attitude."""
+    T = attitude.attitude_error_matrix(estimate.q_nb)
+    return np.sqrt(np.einsum("mij,mjk,mik->mi", T, estimate.misalignment_cov, T))
+
+
+def summarize_replay(done: Replay) -> dict[str, Any]:
+    """Content of `summary.json` of a replay."""
+    settings, imu = done.settings, done.imu
+    return _plain(
+        {
+            "title": settings.title,
+            "duration_s": imu.time[-1] - imu.time[0],
+            "imu": asdict(imu.base),
+            "fixes": asdict(done.fix_base),
+            "checks": done.checks,
+            "initial": {
+                **dict(zip(("roll_deg", "pitch_deg", "heading_deg"), settings.euler / DEG, strict=True)),
+                **settings.settings.model_dump(include={"level_sd_deg", "heading_sd_deg"}),
+                "convention": settings.convention,
+            },
+            "filters": {name: _summarize_filter(e) for name, e in done.estimates.items()},
+        }
+    )
+
+
+def _summarize_filter(estimate: Estimate) -> dict[str, Any]:
+    fused, innovation = estimate.fused, estimate.innovation[estimate.fused]
+    updates = int(np.count_nonzero(fused))
+    return {
+        "outcome": estimate.outcome.name.lower(),
+        "updates": updates,
+        "nis": np.mean(estimate.nis[fused]) if updates else None,
+        "nis_band95": mean_band(6, updates) if updates else None,
+        "fixes": {outcome.name.lower(): estimate.count(outcome) for outcome in FixOutcome},
+        "held_imu_samples": estimate.held_imu_samples,
+        "innovations": {
+            name: {"mean": np.mean(v), "rms": np.sqrt(np.mean(v**2)), "correlation_of_next": _next(v)}
+            for name, v in zip(COMPONENTS, innovation.T, strict=True)
+        }
+        if updates
+        else None,
+        "final": {"time_s": estimate.time[-1], **final_state(estimate)},
+    }
+
+
+def _next(values: Array) -> float | None:
+    """Correlation of each value with the one after it: zero for a filter that makes the most of its fixes."""
+    values = values - np.mean(values)
+    power = float(values @ values)
+    return float(values[1:] @ values[:-1]) / power if power > 0 else None
+
+
+def final_state(estimate: Estimate) -> dict[str, dict[str, float]]:
+    """Value and standard deviation of attitude, biases and delay at the end, in the reader's units."""
+    angles = attitude.to_euler(estimate.q_nb[-1]) / DEG
+    rows: dict[str, tuple[float, float]] = {}
+    for name, value, sd in zip(("roll", "pitch", "heading"), angles, attitude_sd(estimate)[-1], strict=True):
+        rows[f"{name}_deg"] = value, sd / DEG
+    for kind, unit, bias, part in (
+        ("accel_bias_{}_ug", MICRO_G, estimate.accel_bias, ACCEL),
+        ("gyro_bias_{}_deg_h", DEG_PER_HOUR, estimate.gyro_bias, GYRO),
+    ):
+        for axis, value, sd in zip("xyz", bias[-1] / unit, estimate.sd[-1, part] / unit, strict=True):
+            rows[kind.format(axis)] = value, sd
+    if estimate.sd[-1, GYRO.stop] > 0:
+        rows["delay_ms"] = estimate.delay[-1] / MILLISECOND, estimate.sd[-1, GYRO.stop] / MILLISECOND
+    return {name: {"value": value, "sd": sd} for name, (value, sd) in rows.items()}
+
+
+def _plain(value: Any) -> Any:
+    """Numbers that JSON can hold: what is not finite becomes null."""
+    if isinstance(value, dict):
+        return {key: _plain(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.floating | float):
+        return float(value) if np.isfinite(value) else None
+    return value
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
