@@ -56,6 +56,9 @@ class Gains(Settings):
     """Aileron per roll rate asked for, rad/s, that a bank profile feeds forward."""
     elevator_forward_per_g: float = Field(default=0.0, ge=0, le=2)
     """Elevator per load factor above 1 of the turn, g, that a bank profile feeds forward."""
+    rudder_forward_s: float = Field(default=0.0, ge=-200, le=200)
+    """As `turn_rudder_s`, in a bank profile. It may take a damper without washout back whole, with a command
+    beyond what pedals can give: the surface keeps its own limits."""
     turn_rudder_s: float = Field(ge=-50, le=50)
     """Rudder per turn rate ``g sin(bank) / V``, rad/s: it works against a yaw damper without washout."""
     runway_steer: float = Field(ge=-20, le=20)

@@ -191,6 +191,8 @@ class Guidance:
             steer = gains.runway_steer * error - gains.runway_steer_rate_s * s.r + self.steer_integral
             return clipped(-steer, 1.0), clipped(steer, 1.0)
         turn_rate = G / max(s.airspeed, MIN_SPEED) * sin(s.roll)
+        if target.forward:
+            return gains.rudder_forward_s * turn_rate, 0.0
         return clipped(gains.turn_rudder_s * turn_rate, 1.0), 0.0
 
     def _throttle(self, s: Sensed, target: Target) -> float:
