@@ -20,12 +20,17 @@ from .command_line import (
 )
 from .terminal import out_console, progress_bar
 
+LARGEST = 2_000_000
+"""Number of nodes."""
+
 
 def localize(
     scenario: ScenarioArgument = "gao2009",
     nodes: Annotated[
         int | None,
-        typer.Option(max=2_000_000, help="Number of nodes; above 200 the study of scale, without a flight."),
+        typer.Option(
+            min=2, max=LARGEST, help="Number of nodes; above 200 the study of scale, without a flight."
+        ),
     ] = None,
     draws: Annotated[int, typer.Option(help="Draws of the network.")] = 200,
     seed: Annotated[int | None, typer.Option(help="Seed of all draws; the scenario's by default.")] = None,

@@ -120,16 +120,18 @@ def indicator_rows(summary: dict[str, Any]) -> list[tuple[str, list[str], str]]:
                 ("velocity, m/s", "velocity_mps", 3),
             )
         ),
-        row("fix, NEES of 6", "own ship, one a draw, and its 95 % band", lambda _, n: _nees(n)),
+        row("fix, NEES of 6", "own ship, one a draw", lambda _, n: _nees(n)),
+        row("its 95 % band", "of a mean over so many draws", lambda _, n: _band(n)),
         *(
             row(f"delay, {name}, ms", "all packets that arrive", lambda _, n, k=key: _delay(n, k))
             for name, key in (("mean", "mean"), ("50 %", "p50"), ("95 %", "p95"), ("99 %", "p99"))
         ),
         row(
-            "time synchronism",
-            "share of these within 50 ms",
+            "time synchronism, arrived",
+            "share within 50 ms of the packets that arrive",
             lambda _, n: percent(n["fleet_delay_ms"]["within_50_ms"], 1),
         ),
+        row("time synchronism, sent", "the same of all packets sent", lambda _, n: percent(_in_time(n), 1)),
         row("delivered", "packets, of those sent", lambda _, n: percent(n["packets_delivered"], 1)),
         row(
             "link consumption",
@@ -149,11 +151,18 @@ def _delay(network: dict[str, Any], figure: str) -> str:
 
 
 def _nees(network: dict[str, Any]) -> str:
-    band = network["nees_band95"]
-    if band is None:
-        return number(None, 2)
-    outside = "" if band[0] <= network["nees"] <= band[1] else " outside"
-    return f"{network['nees']:.2f} [{band[0]:.2f}, {band[1]:.2f}]{outside}"
+    band, mean = network["nees_band95"], number(network["nees"], 2)
+    return mean if band is None or band[0] <= network["nees"] <= band[1] else f"outside: {mean}"
+
+
+def _band(network: dict[str, Any]) -> str:
+    low, high = network["nees_band95"] or (None, None)
+    return f"{number(low, 2)} to {number(high, 2)}"
+
+
+def _in_time(network: dict[str, Any]) -> float | None:
+    arrived = network["fleet_delay_ms"]["within_50_ms"]
+    return arrived and arrived * network["packets_delivered"]
 
 
 def localize_tables(title: str, summary: dict[str, Any]) -> list[Table]:
@@ -165,7 +174,7 @@ def localize_tables(title: str, summary: dict[str, Any]) -> list[Table]:
     )
     look = {"box": SIMPLE_HEAD, "pad_edge": False, "padding": (0, 1, 0, 0)}
     indicators = Table(title=Text(f"{title}: {about}"), **look)
-    indicators.add_column("", no_wrap=True)
+    indicators.add_column("")
     for kind in PROTOCOLS:
         indicators.add_column(NAMES[kind], justify="right", no_wrap=True)
     for name, cells, _ in indicator_rows(summary):
@@ -179,7 +188,7 @@ def localize_tables(title: str, summary: dict[str, Any]) -> list[Table]:
         ),
         **look,
     )
-    methods.add_column("", no_wrap=True)
+    methods.add_column("")
     for heading in ("RMSE / CRLB", "by node", "covered"):
         methods.add_column(heading, justify="right", no_wrap=True)
     for method in e["methods"]:

@@ -14,6 +14,7 @@ from ..network.fleet_network import FleetNetwork
 from ..network.localization.large import LINK_RADIUS_M, RANGE_SD_M, large_study
 from ..network.localization.problem import NodeOutcome
 from .localize import LocalizeStudy, Progress, run_study
+from .localize_command import LARGEST
 from .localize_report import localize_tables, summarize, write_localize
 from .network_score import plain
 from .run import alignment_window
@@ -36,15 +37,39 @@ class Told:
 
 
 def with_network(scenario: Scenario, origin: str, nodes: int | None) -> Scenario:
-    """The scenario with so many nodes in its network. Raises `ScenarioError` for none that can work."""
+    """The scenario without variants, with so many nodes in its network.
+
+    Raises `ScenarioError` for a network that does not work under each of the protocols.
+    """
     kind = scenario.fixes.kind
     if not isinstance(scenario.fixes, FleetNetwork):
         raise ScenarioError(f"{origin}: fixes.kind = {kind!r}: there is no network to localize")
-    if nodes is not None:
-        scenario = replaced(scenario, {"fixes.fleet.nodes": nodes}, origin="option")
-    for protocol in PROTOCOLS:  # It is to work under each.
-        replaced(scenario, {"fixes.protocol.kind": protocol}, origin=f"{origin}, under {protocol}")
+    if nodes is None:
+        return _of_nodes(scenario, scenario.fixes.fleet.nodes, origin)
+    try:
+        return _of_nodes(scenario, nodes, "")
+    except ScenarioError as error:
+        why = str(error).splitlines()[0].removeprefix(": ")
+        least = next((n for n in range(2, MOST_NODES + 1) if _works(scenario, n)), MOST_NODES + 1)
+        told = f"--nodes {nodes}: allowed is [{least}, {LARGEST}] with {origin}: {why}"
+        raise ScenarioError(told) from error
+
+
+def _of_nodes(scenario: Scenario, nodes: int, origin: str) -> Scenario:
+    scenario = replaced(scenario, {"fixes.fleet.nodes": nodes, "variants": {}}, origin)
+    for protocol in PROTOCOLS:
+        replaced(
+            scenario, {"fixes.protocol.kind": protocol}, f"{origin}, under {protocol}".removeprefix(", ")
+        )
     return scenario
+
+
+def _works(scenario: Scenario, nodes: int) -> bool:
+    try:
+        _of_nodes(scenario, nodes, "")
+    except ScenarioError:
+        return False
+    return True
 
 
 def study_fleet(

@@ -1,5 +1,6 @@
 """The network by itself: figures of its draws, verdicts by stated rules, and the command."""
 
+import io
 import json
 import os
 import sys
@@ -24,15 +25,17 @@ from fleetalign.cosim.localize_paper import (
     figure_2,
     figure_2_of,
 )
-from fleetalign.cosim.localize_report import indicator_rows, summarize
+from fleetalign.cosim.localize_report import indicator_rows, localize_tables, summarize
 from fleetalign.cosim.localize_verdicts import TABLE_2, figure_2_verdicts, figure_3_verdicts
 from fleetalign.cosim.network_score import plain
+from fleetalign.cosim.pages import number
 from fleetalign.cosim.parallel import in_order
 from fleetalign.cosim.run import generator
 from fleetalign.cosim.still import Drawn, draw_still, pooled, restricted
 from fleetalign.network.fleet import FleetSettings, draw_formation
 from fleetalign.network.fleet_network import FleetNetwork
 from fleetalign.network.radio import RadioSettings
+from rich.console import Console
 
 SMALL = FleetNetwork(fleet=FleetSettings(nodes=16, anchor_share=0.4), radio=RadioSettings(altitude_sd_m=10.0))
 
@@ -287,9 +290,34 @@ def test_a_study_holds_both_protocols(study, results):
     assert up == pytest.approx(bound, rel=0.6)
     assert three["bound_m"]["ranges and altitude"][2] < 11
     names = [name for name, _, _ in indicator_rows(summary)]
-    assert {"coverage", "RMSE / CRLB", "time synchronism", "link consumption"} <= set(names)
+    assert {"coverage", "RMSE / CRLB", "time synchronism, sent", "link consumption"} <= set(names)
     assert len(summary["verdicts"]) == 9
     assert all(verdict["line"].endswith(".") for verdict in summary["verdicts"])
+
+
+def test_time_synchronism_is_that_of_arrived_and_of_sent_packets(study, results):
+    summary = summarize("gao2009", study, results)
+    leach = summary["protocols"]["leach"]["network"]
+    leach["fleet_delay_ms"]["within_50_ms"], leach["packets_delivered"] = 0.5, 0.25
+    cells = {name: cells for name, cells, _ in indicator_rows(summary)}
+    assert cells["time synchronism, arrived"][1] == "50.0 %"
+    assert cells["time synchronism, sent"][1] == "12.5 %"
+    leach["fleet_delay_ms"] |= {"within_50_ms": None}
+    assert {name: cells for name, cells, _ in indicator_rows(summary)}["time synchronism, sent"][1] == number(None, 1)
+
+
+def test_tables_fit_a_terminal_of_80_columns(study, results):
+    summary = summarize("gao2009", study, results)
+    network = summary["protocols"]["dmdg"]["network"]
+    network["nees"], network["nees_band95"] = 123.456, [5.25, 16.75]
+    summary["equations"]["methods"][-1] |= {"rmse_over_crlb": 4321.123, "rmse_over_crlb_sd": 1234.567}
+    terminal = Console(width=80, file=io.StringIO())
+    for table in localize_tables("In-flight alignment on delayed fleet fixes", summary):
+        terminal.print(table)
+    told = terminal.file.getvalue()
+    assert "…" not in told
+    for figure in ("outside: 123.46", "5.25 to 16.75", "4321.123 ± 1234.567"):
+        assert figure in told
 
 
 def test_the_delay_figure_tells_what_becomes_of_packets_that_never_arrive(results):
@@ -365,11 +393,13 @@ def test_many_nodes_are_the_study_of_scale(command, tmp_path):
     ("arguments", "told"),
     [
         (["--draws", "0"], "--draws 0: at least 1"),
-        (["--nodes", "1"], "fixes.fleet.nodes = 1: allowed is [2, 1000]"),
-        (["--nodes", "-3"], "fixes.fleet.nodes = -3"),
-        (["--nodes", "2"], "anchors"),
-        (["--nodes", "9"], "heads = 10 must be at most the number of nodes, 9"),
-        (["--nodes", "99999999"], "less than or equal to 2000000"),
+        (["--nodes", "1"], "'--nodes': Input should be greater than or equal to 2"),
+        (["--nodes", "2"], "--nodes 2: allowed is [10, 2000000] with gao2009: fixes.fleet: anchor_share"),
+        (
+            ["--nodes", "9"],
+            "--nodes 9: allowed is [10, 2000000] with gao2009: under leach: fixes: heads = 10",
+        ),
+        (["--nodes", "99999999"], "'--nodes': Input should be less than or equal to 2000000"),
         (["--nodes", "many"], "valid integer"),
         (["stated_fixes"], "fixes.kind = 'simulated': there is no network to localize"),
         (["--out", "/proc/nowhere"], "--out /proc/nowhere: cannot be written"),
