@@ -299,11 +299,15 @@ def test_time_synchronism_is_that_of_arrived_and_of_sent_packets(study, results)
     summary = summarize("gao2009", study, results)
     leach = summary["protocols"]["leach"]["network"]
     leach["fleet_delay_ms"]["within_50_ms"], leach["packets_delivered"] = 0.5, 0.25
-    cells = {name: cells for name, cells, _ in indicator_rows(summary)}
-    assert cells["time synchronism, arrived"][1] == "50.0 %"
-    assert cells["time synchronism, sent"][1] == "12.5 %"
-    leach["fleet_delay_ms"] |= {"within_50_ms": None}
-    assert {name: cells for name, cells, _ in indicator_rows(summary)}["time synchronism, sent"][1] == number(None, 1)
+
+    def cell(row):
+        return next(
+            cells[1] for name, cells, _ in indicator_rows(summary) if name == f"time synchronism, {row}"
+        )
+
+    assert (cell("arrived"), cell("sent")) == ("50.0 %", "12.5 %")
+    leach["fleet_delay_ms"]["within_50_ms"] = None
+    assert (cell("arrived"), cell("sent")) == (number(None, 1),) * 2
 
 
 def test_tables_fit_a_terminal_of_80_columns(study, results):
