@@ -70,7 +70,7 @@ def write_report(
         columns=list(zip(COLUMNS, _HEADINGS, _DIGITS.values(), strict=True)),
         rows=[_row(name, row, summary["bound"]["stamped"]) for name, row in summary["filters"].items()],
         comparison=_comparison(summary),
-        outcomes=_outcomes(scores),
+        outcomes=outcome_table({name: score.fix_outcomes for name, score in scores.items()}),
         network=network_tables(summary["network"]) if network is not None else None,
         variants=variant_rows(summary),
         failures={name: score.failures for name, score in scores.items() if score.failures},
@@ -158,13 +158,13 @@ def _comparison(summary: dict[str, Any]) -> list[tuple[str, list[tuple[float | N
     return lines
 
 
-def _outcomes(scores: Mapping[str, FilterScore]) -> dict[str, Any]:
+def outcome_table(outcomes: Mapping[str, Mapping[FixOutcome, int]]) -> dict[str, Any]:
     """What became of the fixes: the outcomes that occur, and for each filter their counts and shares."""
-    kinds = [o for o in FixOutcome if any(score.fix_outcomes[o] for score in scores.values())]
+    kinds = [o for o in FixOutcome if any(numbers[o] for numbers in outcomes.values())]
     counts = {}
-    for name, score in scores.items():
-        total = max(sum(score.fix_outcomes.values()), 1)
-        counts[name] = [(score.fix_outcomes[o], 100 * score.fix_outcomes[o] / total) for o in kinds]
+    for name, numbers in outcomes.items():
+        total = max(sum(numbers.values()), 1)
+        counts[name] = [(numbers[o], 100 * numbers[o] / total) for o in kinds]
     return {"kinds": [told(o.name) for o in kinds], "counts": counts}
 
 
