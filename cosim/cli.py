@@ -12,6 +12,7 @@ from .command_line import InputError, ScenarioArgument, loaded
 from .fly_command import fly
 from .lmi_command import lmi
 from .localize_command import localize
+from .maneuver_command import maneuver
 from .replay_command import replay
 from .run_command import run
 from .terminal import error_console, out_console
@@ -97,7 +98,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (run, fly, localize, replay, lmi, check):
+for command in (run, fly, localize, replay, lmi, maneuver, check):
     app.command()(command)
 app.command("list")(list_)
 
