@@ -30,8 +30,9 @@ from ._kernels import (
 
 
 @njit(**COMPILED)
-def _start(X, P, lla, v_n, cov, initial, sd):
-    """Take position and velocity from a fix, all but the attitude as it was first; forget all correlations."""
+def start(X, P, lla, v_n, cov, initial, sd):
+    """Take position and velocity from a fix, all but the attitude as it was first; forget all
+    correlations."""
     for i in range(3):
         X[i], X[3 + i] = lla[i], v_n[i]
     for i in range(10):
@@ -153,11 +154,10 @@ def align(
     ----------
     time (n,), increments (n, 6) : record, as in `sins.mechanization`. gap_variance (n, 2) : see `predict`.
     q_initial (4,) : coarse attitude at epoch 0.
-    fixes : tuple of lla (k, 3), v_n (k, 3), cov (k, 6, 6), t_reference (k,) that a fix's age counts from
-        (its stamp or its arrival), arrival epoch (k,), reference epoch (k,), packet (k,) one number per
-        packet sent, source (k,) counted from 0, sequence (k,).
+    fixes : `reception.Reception`.
     outcome (k,) : PENDING, or the reason for which a fix must not be used; is filled.
-    initial (10,), initial_sd (n,) : biases, delay and lever arm at the start; standard deviations there, n = 16,
+    initial (10,), initial_sd (n,) : biases, delay and lever arm at the start; standard deviations there, n =
+    16,
         or 19 if the lever arm is estimated.
     noise_density (n,) : power spectral densities of the white noises on the states.
     gate : largest NIS to accept. patience : fixes refused in a row before starting again.
@@ -213,7 +213,7 @@ def align(
         if restart:
             f, now = applied[0], back
             _carry_attitude(X, time, increments, now, q_initial, fix_lla[f], fix_v_n[f], gravity_model, work)
-            _start(X, P, fix_lla[f], fix_v_n[f], fix_cov[f], initial, initial_sd)
+            start(X, P, fix_lla[f], fix_v_n[f], fix_cov[f], initial, initial_sd)
             running = True
             _copy(X, P, X_kept[now % kept], P_kept[now % kept])
         elif running and back < k:
@@ -224,7 +224,7 @@ def align(
                 f = applied[first]
                 starting = first == 0 or X[REFUSED] >= patience
                 if starting and first > 0:
-                    _start(X, P, fix_lla[f], fix_v_n[f], fix_cov[f], initial, initial_sd)
+                    start(X, P, fix_lla[f], fix_v_n[f], fix_cov[f], initial, initial_sd)
                 kinematics(X, time, increments, now, samples, gravity_model, C, f_n, w_b, arm, u)
                 age = time[now] - t_reference[f] + (X[16] if estimated else 0.0)
                 nis, taken = update(

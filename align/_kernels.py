@@ -1,9 +1,9 @@
 """Compiled closed-loop error-state filter over one record of increments and fixes.
 
 State vector ``X``, shape (21,): lla 0:3, v_n 3:6, q_nb 6:10, accelerometer bias 10:13, gyro bias
-13:16, mean delay 16, lever arm 17:20, number of fixes refused in a row 20. Error state, shape (n,), n = 16: the
-fifteen of `sins.error_model` and the delay's error; n = 19 if the lever arm is estimated. The readable twins of
-`kinematics` and `update` stand in `align.measurement`.
+13:16, mean delay 16, lever arm 17:20, number of fixes refused in a row 20. Error state, shape (n,), n = 16:
+the fifteen of `sins.error_model` and the delay's error; n = 19 if the lever arm is estimated. The readable
+twins of `kinematics` and `update` stand in `align.measurement`.
 """
 
 # Types of compiled functions are those of their docstrings; numba infers them.
@@ -61,8 +61,8 @@ def kinematics(X, time, increments, k, samples, gravity_model, C, f_n, w_b, arm,
     """Velocity and acceleration of the antenna in n: ``u``, shape (6,).
 
     Specific force and rate are averaged over the last ``samples`` intervals, so that vibration is not taken
-    for acceleration; ``f_n`` (3,), ``C`` (C_nb), the rate ``w_b`` (3,) against n and ``arm`` (2, 3), the lever
-    arm and its rate of change in n, are written too.
+    for acceleration; ``f_n`` (3,), ``C`` (C_nb), the rate ``w_b`` (3,) against n and ``arm`` (2, 3), the
+    lever arm and its rate of change in n, are written too.
     """
     fill_C_nb(X[6:10], C)
     first = max(k - samples, 0)
@@ -247,6 +247,14 @@ def update(
         for i in range(6):
             s += K[r, i] * innovation[i]
         x[r] = s
+    correct(X, x)
+    return nis, True
+
+
+@njit(**COMPILED)
+def correct(X, x):
+    """Take an estimated error ``x``, shape (n,), from the state."""
+    R_N, R_E = radii_of_curvature(X[0])
     X[0] -= x[0] / (R_N + X[2])
     X[1] -= x[1] / ((R_E + X[2]) * math.cos(X[0]))
     X[2] += x[2]
@@ -256,7 +264,6 @@ def update(
         X[13 + i] += x[12 + i]
     rotate_attitude(X[6:10], x[6], x[7], x[8])
     X[16] -= x[15]
-    if n_states > LEVER:
+    if len(x) > LEVER:
         for i in range(3):
             X[17 + i] -= x[LEVER + i]
-    return nis, True

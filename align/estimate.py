@@ -39,6 +39,8 @@ class RunOutcome(IntEnum):
     """No usable fix arrived: the navigation never started."""
     NOT_FINITE = 2
     """State or covariance lost meaning: the run was stopped there."""
+    NO_COARSE = 3
+    """The motion never told enough of the attitude to start a filter from."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ References
 
 from enum import IntEnum
 from functools import cache
-from typing import Annotated
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,7 +43,7 @@ from . import _alignment_kernel, _kernels
 from .consistency import chi_square_quantile
 from .estimate import Estimate, RunOutcome
 from .measurement import DELAY, LEVER, N_STATES
-from .reception import finite_increments, received
+from .reception import Integers, Reception, finite_increments, received
 
 Array = NDArray[np.float64]
 
@@ -92,6 +92,8 @@ class FilterSettings(Settings):
     """The antenna that fixes are valid for, as surveyed from the IMU, in b."""
     lever_arm_sd_m: float = Field(default=0.0, ge=0, le=10)
     """Standard deviation of each component of that; above zero the filters estimate the lever arm."""
+    coarse_stage: Literal["none", "in_motion"] = "none"
+    """Whether attitude is known coarsely at the start, or is to be found in motion (`coarse`) first."""
     output_rate_hz: float = Field(default=10.0, gt=0, le=1000)
 
 
@@ -157,69 +159,162 @@ def align(
     Raises ValueError for arrays that do not make up a record (`mechanization.checked_record`) or an
     attitude that is no unit quaternion.
     """
+    problem = pose(time, dtheta_b, dv_b, q_nb_coarse, fixes, delay, settings, imu, gravity)
+    horizon = round(settings.horizon_s / problem.dt)
+    return run(problem, horizon, kept=horizon + 1 if delay is DelayModel.STAMPED else 1)[0]
+
+
+class Problem(NamedTuple):
+    """A record and fixes, checked, and what the compiled loops take of the settings."""
+
+    time: Array
+    increments: Array
+    """(n, 6)."""
+    gap_variance: Array
+    q_nb_coarse: Array
+    reception: Reception
+    outcome: Integers
+    """(k,) of fixes in order of arrival, `FixOutcome`; filled by `run`."""
+    delay: DelayModel
+    delay_sd: float
+    initial: Array
+    initial_sd: Array
+    noise_density: Array
+    vibration_variance: float
+    gate: float
+    patience: int
+    samples: int
+    """Intervals over which specific force and rate are averaged."""
+    gravity: int
+    output_epoch: Integers
+    held: int
+
+    @property
+    def dt(self) -> float:
+        """Mean interval, s."""
+        return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
+
+
+def pose(
+    time: ArrayLike,
+    dtheta_b: ArrayLike,
+    dv_b: ArrayLike,
+    q_nb_coarse: ArrayLike,
+    fixes: Fixes,
+    delay: DelayModel,
+    settings: FilterSettings,
+    imu: ImuErrors,
+    gravity: GravityModel,
+) -> Problem:
+    """Check what `align` is given; parameters and errors are those of `align`."""
     time, dtheta_b, dv_b = checked_record(time, dtheta_b, dv_b)
     q_nb_coarse = np.array(q_nb_coarse, float)
     if q_nb_coarse.shape != (4,) or not abs(np.linalg.norm(q_nb_coarse) - 1) < 1e-6:
         raise ValueError(f"q_nb_coarse must be a unit quaternion, not {q_nb_coarse}")
-    n, k = len(time), len(fixes)
+    n = len(time)
     dt = (time[-1] - time[0]) / (n - 1)
     stamped, estimated = delay is DelayModel.STAMPED, delay is DelayModel.ESTIMATED
     delay_sd_ms = settings.stamp_sd_ms * stamped + settings.delay_sd_ms * estimated
     increments, gap_variance, held = finite_increments(np.hstack([dtheta_b, dv_b]), dt)
-    fixes = fixes.sorted_by_arrival()
-    outcome, reception = received(time, fixes, stamped, settings.stamp_sd_ms * MILLISECOND)
-
+    outcome, reception = received(
+        time, fixes.sorted_by_arrival(), stamped, settings.stamp_sd_ms * MILLISECOND
+    )
     every = max(1, round(1 / (settings.output_rate_hz * dt)))
-    output_epoch = np.unique(np.append(np.arange(every, n, every), n - 1))
-    m, states = len(output_epoch), n_states(settings)
-    X, variance, misalignment_cov = (np.full(shape, np.nan) for shape in ((m, 21), (m, states), (m, 3, 3)))
-    innovation, nis, fix_time = (np.full(shape, np.nan) for shape in ((k, 6), (k,), (k,)))
-    horizon = round(settings.horizon_s / dt)
     initial = np.zeros(10)
-    initial[7:] = settings.lever_arm_b_m
     initial[6] = settings.delay_mean_ms * MILLISECOND if estimated else 0.0
+    initial[7:] = settings.lever_arm_b_m
+    sd = initial_sd(settings, imu, delay)
+    return Problem(
+        time=time,
+        increments=increments,
+        gap_variance=gap_variance,
+        q_nb_coarse=q_nb_coarse,
+        reception=reception,
+        outcome=outcome,
+        delay=delay,
+        delay_sd=delay_sd_ms * MILLISECOND,
+        initial=initial,
+        initial_sd=sd,
+        noise_density=np.pad(noise_density(imu), (0, len(sd) - N_STATES)),
+        vibration_variance=imu.vibration_mps**2,
+        gate=_gate(settings.gate_probability),
+        patience=settings.restart_after_gated,
+        samples=max(1, round(settings.acceleration_window_s / dt)),
+        gravity=int(gravity),
+        output_epoch=np.unique(np.append(np.arange(every, n, every), n - 1)),
+        held=held,
+    )
 
+
+def run(problem: Problem, horizon: int, kept: int) -> tuple[Estimate, tuple[Array, Array]]:
+    """Run the filter; also state (kept, 21) and covariance (kept, n, n) of the last ``kept`` epochs, each
+    before its fixes, at the epoch's number modulo ``kept``."""
+    outputs = _outputs(problem)
+    memory = _alignment_kernel.working_memory(len(problem.outcome), kept, len(problem.initial_sd))
     started, finite_to_the_end = _alignment_kernel.align(
-        time,
-        increments,
-        gap_variance,
-        q_nb_coarse,
-        reception,
-        outcome,
-        int(delay),
-        delay_sd_ms * MILLISECOND,
-        initial,
-        initial_sd(settings, imu, delay),
-        np.pad(noise_density(imu), (0, states - N_STATES)),
-        imu.vibration_mps**2,
-        _gate(settings.gate_probability),
-        settings.restart_after_gated,
+        problem.time,
+        problem.increments,
+        problem.gap_variance,
+        problem.q_nb_coarse,
+        problem.reception,
+        problem.outcome,
+        int(problem.delay),
+        problem.delay_sd,
+        problem.initial,
+        problem.initial_sd,
+        problem.noise_density,
+        problem.vibration_variance,
+        problem.gate,
+        problem.patience,
         horizon,
-        max(1, round(settings.acceleration_window_s / dt)),
-        int(gravity),
-        output_epoch,
-        (X, variance, misalignment_cov, innovation, nis, fix_time),
-        _alignment_kernel.working_memory(k, horizon + 1 if stamped else 1, states),
+        problem.samples,
+        problem.gravity,
+        problem.output_epoch,
+        outputs,
+        memory,
     )
     ending = RunOutcome.ALIGNED if finite_to_the_end else RunOutcome.NOT_FINITE
+    return _estimate(problem, outputs, ending if started else RunOutcome.NO_FIX), memory[2:4]
+
+
+def unaligned(problem: Problem, outcome: RunOutcome) -> Estimate:
+    """What is known where no filter ran: nothing."""
+    return _estimate(problem, _outputs(problem), outcome)
+
+
+def _outputs(problem: Problem) -> tuple[Array, ...]:
+    m, k, states = len(problem.output_epoch), len(problem.outcome), len(problem.initial_sd)
+    shapes = ((m, 21), (m, states), (m, 3, 3), (k, 6), (k,), (k,))
+    return tuple(np.full(shape, np.nan) for shape in shapes)
+
+
+def _estimate(problem: Problem, outputs: tuple[Array, ...], outcome: RunOutcome) -> Estimate:
+    X, variance, misalignment_cov, innovation, nis, fix_time = outputs
     return Estimate(
-        time=time[output_epoch],
-        lla=X[:, 0:3],
-        v_n=X[:, 3:6],
-        q_nb=X[:, 6:10],
-        accel_bias=X[:, 10:13],
-        gyro_bias=X[:, 13:16],
-        delay=X[:, 16],
-        lever_arm_b=X[:, 17:20],
+        time=problem.time[problem.output_epoch],
+        **state_columns(X),
         sd=np.sqrt(variance),
         misalignment_cov=misalignment_cov,
         innovation=innovation,
         nis=nis,
         fix_time=fix_time,
-        fix_outcome=outcome,
-        held_imu_samples=held,
-        outcome=ending if started else RunOutcome.NO_FIX,
+        fix_outcome=problem.outcome,
+        held_imu_samples=problem.held,
+        outcome=outcome,
     )
+
+
+def state_columns(X: Array) -> dict[str, Array]:
+    """The fields of an `Estimate` that a state vector, (m, 21), holds."""
+    return {
+        "lla": X[:, 0:3],
+        "v_n": X[:, 3:6],
+        "q_nb": X[:, 6:10],
+        "accel_bias": X[:, 10:13],
+        "gyro_bias": X[:, 13:16],
+        "delay": X[:, 16],
+        "lever_arm_b": X[:, 17:20],
+    }
 
 
 @cache

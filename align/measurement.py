@@ -1,15 +1,15 @@
 """A fix as a measurement of the error state: innovation, H, R, and the Joseph-form update.
 
-A fix is of the antenna, at the lever arm ``l`` from the IMU: its position is that of the IMU and ``C_nb l``, its
-velocity that of the IMU and ``C_nb (w x l)``. A fix that was valid ``age`` ago is compared with where the navigator
-says the antenna was then: with its velocity and acceleration ``u`` the prediction is that of now less ``age u``.
-Its error is
+A fix is of the antenna, at the lever arm ``l`` from the IMU: its position is that of the IMU and ``C_nb l``,
+its velocity that of the IMU and ``C_nb (w x l)``. A fix that was valid ``age`` ago is compared with where the
+navigator says the antenna was then: with its velocity and acceleration ``u`` the prediction is that of now
+less ``age u``. Its error is
 
     dp + [C_nb l x] phi - age dv + C_nb dl,
     dv + [C_nb (w x l) x] phi - C_nb [l x] bg + C_nb [w x] dl - age ([f_n x] phi + C_nb ba),
 
-and -u (delay error) if the age is estimated. The random part of the age, of standard deviation ``delay_sd``, adds
-``delay_sd^2 u u'`` to R: position and velocity jointly.
+and -u (delay error) if the age is estimated. The random part of the age, of standard deviation ``delay_sd``,
+adds ``delay_sd^2 u u'`` to R: position and velocity jointly.
 
 These functions are the readable twins of the compiled ones in `align._kernels`.
 """
@@ -60,8 +60,8 @@ def kinematics(
 ) -> Motion:
     """The motion of the antenna.
 
-    ``f_b`` and ``w_ib_b``, shape (3,), are specific force, m/s^2, and rate against inertial space, rad/s, in b,
-    averaged over vibration. What an angular acceleration does to the antenna's acceleration is left out.
+    ``f_b`` and ``w_ib_b``, shape (3,), are specific force, m/s^2, and rate against inertial space, rad/s, in
+    b, averaged over vibration. What an angular acceleration does to the antenna's acceleration is left out.
     """
     lat, _, height = state.lla
     C_nb = attitude.to_dcm(state.q_nb)

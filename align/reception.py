@@ -1,5 +1,7 @@
 """What reaches a filter: increments and fixes, checked, and the epochs of the record they belong to."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,6 +9,30 @@ from ..network.fixes import Fixes
 from .estimate import Array, FixOutcome
 
 Integers = NDArray[np.int64]
+
+
+class Reception(NamedTuple):
+    """Fixes in order of arrival, as the compiled loops take them."""
+
+    lla: Array
+    """(k, 3)."""
+    v_n: Array
+    """(k, 3)."""
+    cov: Array
+    """(k, 6, 6)."""
+    t_reference: Array
+    """(k,) s, that a fix's age counts from: its stamp or its arrival."""
+    arrival_epoch: Integers
+    """(k,)."""
+    reference_epoch: Integers
+    """(k,) first epoch not before the reference."""
+    packet: Integers
+    """(k,) one number per packet sent."""
+    source: Integers
+    """(k,) counted from 0."""
+    sequence: Integers
+    """(k,) as sent."""
+
 
 HOLD_WINDOW = 10
 """Samples whose mean stands in for a sample that is not finite: fewer would hold on to vibration."""
@@ -38,10 +64,8 @@ def finite_increments(increments: Array, dt: float) -> tuple[Array, Array, int]:
     return increments, variance, len(bad)
 
 
-def received(
-    time: Array, fixes: Fixes, by_stamp: bool, stamp_sd: float
-) -> tuple[Integers, tuple[Array | Integers, ...]]:
-    """Outcome so far, (k,), of fixes in order of arrival, and the tuple that `_alignment_kernel.align` takes.
+def received(time: Array, fixes: Fixes, by_stamp: bool, stamp_sd: float) -> tuple[Integers, Reception]:
+    """Outcome so far, (k,), of fixes in order of arrival, and what is to be known of them.
 
     Parameters: ``time`` (n,) s, of the record; ``by_stamp``, whether a fix counts from its stamp, of standard
     deviation ``stamp_sd`` s, or from its arrival. A fix that must not be used has the reason for its
@@ -63,7 +87,7 @@ def received(
     arrival_epoch = np.searchsorted(time, fixes.t_arrival)
     reference_epoch = np.minimum(np.searchsorted(time, reference), arrival_epoch)
     source, packet = _numbered(fixes)
-    return outcome, (
+    return outcome, Reception(
         fixes.lla,
         fixes.v_n,
         fixes.cov,

@@ -79,7 +79,7 @@ def check(scenario: ScenarioArgument) -> None:
 def list_() -> None:
     """List bundled scenarios, airframes and filters."""
     from ..aircraft.airframe import airframe_names
-    from ..align.filters import FILTERS
+    from ..align.methods import METHODS
     from .scenario import load_scenario, scenario_names
 
     table = Table("kind", "name", "what")
@@ -87,8 +87,8 @@ def list_() -> None:
         table.add_row("scenario", name, Text(load_scenario(name)[1].title))
     for name in airframe_names():
         table.add_row("airframe", name, "")
-    for name, delay in FILTERS.items():
-        table.add_row("filter", name, f"delay {delay.name.lower()}")
+    for name, method in METHODS.items():
+        table.add_row("filter", name, method.about)
     out_console.print(table)
 
 

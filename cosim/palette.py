@@ -1,7 +1,7 @@
 """Colours that mean the same in the recording and in the report."""
 
 from ..align.estimate import FixOutcome
-from ..align.filters import FILTERS
+from ..align.methods import METHODS
 from ..network.record import FixFate
 
 # Distinct for colour-blind readers (after Okabe and Ito), and visible on white and on black.
@@ -49,7 +49,7 @@ FATE_COLORS = {
 
 def filter_color(name: str) -> str:
     """``#RRGGBB`` of a filter, the same whichever others stand beside it. Raises KeyError for no filter."""
-    return dict(zip(FILTERS, _FILTER_COLORS, strict=False))[name]
+    return dict(zip(METHODS, _FILTER_COLORS, strict=False))[name]
 
 
 def rgb(color: str) -> tuple[int, int, int]:

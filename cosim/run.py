@@ -16,7 +16,8 @@ import numpy as np
 from ..aircraft.flight import Flight
 from ..align.bound import stamped_bound
 from ..align.estimate import Array, Estimate
-from ..align.filters import FILTERS, FilterSettings, align
+from ..align.filters import FilterSettings
+from ..align.methods import METHODS, estimate
 from ..network.fixes import Fixes
 from ..network.fleet import CentrePath
 from ..network.fleet_network import FleetNetwork, fly_network
@@ -26,6 +27,7 @@ from ..sins import attitude
 from ..sins.earth import GravityModel
 from ..sins.imu import Imu, ImuErrors, simulate_imu
 from ..sins.units import DEG
+from .antenna import at_antenna
 from .scenario import CoarseAttitude, Scenario, ScenarioError
 
 Progress = Callable[[float, float], None]
@@ -88,17 +90,17 @@ def simulate(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> Run:
     imu = simulate_imu(
         window.time, window.dtheta_b, window.dv_b, scenario.imu, generator(seed, run_id, "imu")
     )
-    fixes, network = fixes_of(scenario, flight, run_id, seed)
+    fixes, network = fixes_of(scenario, at_antenna(flight, _arm(scenario, run_id, seed)), run_id, seed)
     rng = generator(seed, run_id, "coarse attitude")
     q_nb_coarse = coarse_attitude(window.q_nb[0], scenario.alignment.coarse, rng)
     estimates = {
-        name: align(
+        name: estimate(
+            name,
             imu.time,
             imu.dtheta_b,
             imu.dv_b,
             q_nb_coarse,
             fixes,
-            FILTERS[name],
             scenario.alignment.settings,
             scenario.imu,
             scenario.alignment.gravity_model(window.gravity),
@@ -111,7 +113,8 @@ def simulate(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> Run:
 def fixes_of(
     scenario: Scenario, flight: Flight, run_id: int, seed: int
 ) -> tuple[Fixes, NetworkRecord | None]:
-    """The fixes of one run, and the record of the network where they come from one."""
+    """The fixes of one run, and the record of the network where they come from one; ``flight`` is the
+    antenna's."""
     window = alignment_window(scenario, flight)
     start_s, end_s = window.time[0], window.time[-1]
     if not isinstance(scenario.fixes, FleetNetwork):
@@ -120,8 +123,19 @@ def fixes_of(
     return fly_network(path, start_s, end_s, scenario.fixes, partial(generator, seed, run_id))
 
 
+def _arm(scenario: Scenario, run_id: int, seed: int) -> Array:
+    """The true lever arm of one run: the surveyed one and what the survey erred."""
+    settings = scenario.alignment.settings
+    rng = generator(seed, run_id, "lever arm")
+    return np.array(settings.lever_arm_b_m) + settings.lever_arm_sd_m * rng.standard_normal(3)
+
+
 def coarse_attitude(q_nb: Array, coarse: CoarseAttitude, rng: np.random.Generator) -> Array:
     """The attitude (4,) that alignment starts from: the true one with the coarse errors."""
+    if coarse.unknown_heading:
+        tilts = rng.uniform(-1, 1, 2) * np.array([coarse.roll_error_deg, coarse.pitch_error_deg]) * DEG
+        roll, pitch = attitude.to_euler(q_nb)[:2] + tilts
+        return attitude.from_euler(roll, pitch, rng.uniform(-np.pi, np.pi))
     signs = rng.choice([-1.0, 1.0], 3) if coarse.signs == "random" else np.ones(3)
     errors = np.array([coarse.roll_error_deg, coarse.pitch_error_deg, coarse.heading_error_deg]) * DEG
     return attitude.from_euler(*(attitude.to_euler(q_nb) + signs * errors))
@@ -171,14 +185,14 @@ def compile_loops() -> None:
     nothing, none, ids = np.zeros((2, 3)), np.empty(0), np.empty(0, np.int64)
     vectors = np.empty((0, 3))
     fixes = Fixes(none, none, none, vectors, vectors, np.empty((0, 6, 6)), ids, ids)
-    for delay in FILTERS.values():
-        align(
+    for name in METHODS:
+        estimate(
+            name,
             np.arange(2.0),
             nothing,
             nothing,
             np.array([1.0, 0.0, 0.0, 0.0]),
             fixes,
-            delay,
             FilterSettings(),
             ImuErrors(),
             GravityModel.J2,
@@ -236,7 +250,8 @@ def no_bound_because(scenario: Scenario) -> str | None:
 
 
 def _bound_of_run(scenario: Scenario, window: Flight, fixes: Fixes) -> Estimate:
-    lla, v_n, _ = window.at(fixes.t_valid)
+    antenna = at_antenna(window, scenario.alignment.settings.lever_arm_b_m)
+    lla, v_n, _ = antenna.at(fixes.t_valid)
     return stamped_bound(
         window.time,
         window.dtheta_b,

@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from ..aircraft.mission import FlightPlan
 from ..aircraft.phases import PHASE_NAMES
 from ..align.filters import FILTERS, FilterSettings
+from ..align.methods import METHODS
 from ..network.source import AnyFixSource, FixSource
 from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
@@ -51,6 +52,9 @@ class CoarseAttitude(Settings):
     heading_error_deg: float = Field(default=10.0, ge=-60, le=60)
     signs: Literal["random", "fixed"] = "random"
     """Whether each run draws the three signs."""
+    unknown_heading: bool = False
+    """Each run draws its heading from the whole circle, and errors of roll and pitch evenly up to those
+    above."""
 
 
 class AlignmentSettings(Settings):
@@ -78,10 +82,10 @@ class AlignmentSettings(Settings):
     @classmethod
     def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         for name in names:
-            if name not in FILTERS:
-                raise ValueError(f"no filter {name!r}; known: {', '.join(FILTERS)}")
+            if name not in METHODS:
+                raise ValueError(f"no filter {name!r}; known: {', '.join(METHODS)}")
         if not names:
-            raise ValueError(f"at least one of: {', '.join(FILTERS)}")
+            raise ValueError(f"at least one of: {', '.join(METHODS)}")
         return tuple(dict.fromkeys(names))
 
     def gravity_model(self, flown: GravityModel) -> GravityModel:

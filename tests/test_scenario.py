@@ -62,7 +62,7 @@ def test_a_file_states_only_what_differs(tmp_path):
         ),
         (
             GOOD + '[alignment]\nfilters = ["kalman"]',
-            "alignment.filters = ['kalman']: no filter 'kalman'; known: ekf, ekf_stamped, l2linf",
+            f"alignment.filters = ['kalman']: no filter 'kalman'; known: {', '.join(METHODS)}",
         ),
         (
             GOOD + "[alignment.settings]\ngate_probability = 1",

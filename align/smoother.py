@@ -1,0 +1,111 @@
+"""Fixed-interval smoother: what the whole record tells of each epoch, for review after the flight.
+
+The filter goes forward, trusting stamps, and the adjoint of its error state goes back. Both linearise about
+the filter's trajectory, which begins with the whole initial misalignment and goes astray with the first
+fixes' noise. So they go twice: the second time from the smoothed attitude of the start, held to `WEIGHTLESS`
+times its standard deviation, or that of the coarse attitude if this is less.
+
+References
+----------
+.. [1] G. J. Bierman, "Fixed interval smoothing with discrete measurements", International Journal of
+       Control 18 (1973): the modified Bryson-Frazier form.
+.. [2] P. D. Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems", 2nd ed.,
+       section 3.4.5.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..network.fixes import Fixes
+from ..sins import attitude
+from ..sins.earth import GravityModel
+from ..sins.error_model import MISALIGN
+from ..sins.imu import ImuErrors
+from . import _alignment_kernel, _smoothing_kernel
+from .estimate import Array, Estimate, FixOutcome, RunOutcome
+from .filters import DelayModel, FilterSettings, Problem, pose, run, state_columns
+from .reception import Integers, Reception
+
+WEIGHTLESS = 30.0
+"""So many times the standard deviation that a record gives leave what is known before a weight of 0.1 %."""
+
+
+def smooth(
+    time: ArrayLike,
+    dtheta_b: ArrayLike,
+    dv_b: ArrayLike,
+    q_nb_coarse: ArrayLike,
+    fixes: Fixes,
+    settings: FilterSettings,
+    imu: ImuErrors,
+    gravity: GravityModel,
+) -> Estimate:
+    """Smooth over one record. Parameters and errors are those of `filters.align`; stamps are trusted.
+
+    Returns the smoothed states with their covariance; innovations, NIS and outcomes are those of the filter
+    that went forward, to which no fix of the record comes too late. A restart of the filter divides the
+    record.
+    """
+    problem = pose(time, dtheta_b, dv_b, q_nb_coarse, fixes, DelayModel.STAMPED, settings, imu, gravity)
+    received = problem.outcome.copy()
+    filtered, kept = _filtered(problem)
+    if filtered.outcome is not RunOutcome.ALIGNED:
+        return filtered
+    first = problem.reception.reference_epoch[_applied(problem)[:1]]
+    X, variance, _ = _back(problem, kept, first)
+    correction = attitude.multiply(X[0, 6:10], attitude.conjugate(kept[0][first[0], 6:10]))
+    sd = problem.initial_sd.copy()
+    sd[MISALIGN] = np.minimum(sd[MISALIGN], WEIGHTLESS * np.sqrt(variance[0, MISALIGN]))
+    problem = problem._replace(
+        q_nb_coarse=attitude.multiply(correction, problem.q_nb_coarse), initial_sd=sd, outcome=received
+    )
+    filtered, kept = _filtered(problem)
+    if filtered.outcome is not RunOutcome.ALIGNED:
+        return filtered
+    X, variance, misalignment_cov = _back(problem, kept, problem.output_epoch)
+    return replace(filtered, **state_columns(X), sd=np.sqrt(variance), misalignment_cov=misalignment_cov)
+
+
+def _filtered(problem: Problem) -> tuple[Estimate, tuple[Array, Array]]:
+    n = len(problem.time)
+    return run(problem, horizon=n, kept=n)
+
+
+def _applied(problem: Problem) -> Integers:
+    """The fixes that the filter took, in the order in which it did."""
+    fixes = problem.reception
+    taken = np.isin(problem.outcome, (FixOutcome.FUSED, FixOutcome.INITIALIZED))
+    order = np.lexsort((fixes.packet, fixes.t_reference, fixes.reference_epoch))
+    return order[taken[order]]
+
+
+def _back(problem: Problem, kept: tuple[Array, Array], wanted: Integers) -> tuple[Array, Array, Array]:
+    """Smoothed states (m, 21), variances (m, n) and covariances of misalignment (m, 3, 3) at m wanted
+    epochs."""
+    m, states = len(wanted), len(problem.initial_sd)
+    X, variance, misalignment_cov = (np.full(shape, np.nan) for shape in ((m, 21), (m, states), (m, 3, 3)))
+    applied = _applied(problem)
+    restarts = problem.outcome[applied] == FixOutcome.INITIALIZED
+    restarts[0] = False
+    _smoothing_kernel.smooth(
+        problem.time,
+        problem.increments,
+        problem.gap_variance,
+        Reception._make(column[applied] for column in problem.reception),
+        restarts,
+        int(problem.delay),
+        problem.delay_sd,
+        problem.initial,
+        problem.initial_sd,
+        problem.noise_density,
+        problem.vibration_variance,
+        problem.samples,
+        problem.gravity,
+        wanted,
+        *kept,
+        (X, variance, misalignment_cov),
+        _alignment_kernel.steps_memory(states),
+    )
+    return X, variance, misalignment_cov
