@@ -5,7 +5,7 @@ import platform
 import statistics
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -18,34 +18,25 @@ PACKAGES = ("fleetalign", "numpy", "scipy", "numba", "jsbsim", "gtsam", "filterp
 class Size:
     """How much work a benchmark does."""
 
-    rounds: int
+    rounds: int = 7
     """Interleaved repetitions."""
-    samples: int
+    samples: int = 1_000_000
     """IMU samples to mechanise."""
-    oracle_samples: int
+    oracle_samples: int = 4_000
     """IMU samples that a readable numpy step mechanises: it is slow."""
-    runs: int
+    runs: int = 1_000
     """Alignment runs."""
-    scaling_runs: int
+    scaling_runs: int = 100
     """Alignment runs of each repetition that compares numbers of cores."""
-    nodes: int
+    nodes: int = 1_000_000
     """Nodes of the largest network to locate."""
-    network_s: float
+    network_s: float = 560.0
     """Time of the fleet's network, at most."""
-    changes: Mapping[str, object]
+    changes: Mapping[str, object] = field(default_factory=dict)
     """What differs from the bundled scenario."""
 
 
-FULL = Size(
-    rounds=7,
-    samples=1_000_000,
-    oracle_samples=4_000,
-    runs=1_000,
-    scaling_runs=100,
-    nodes=1_000_000,
-    network_s=560.0,
-    changes={},
-)
+FULL = Size()
 QUICK = Size(
     rounds=1,
     samples=20_000,

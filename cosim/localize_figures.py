@@ -16,9 +16,10 @@ from .localize_paper import RADII_M, RANGING_ERRORS, Figure2
 from .localize_verdicts import COVERAGE_AT_40, ERROR_AT_5, TABLE_2
 from .network_figures import draw_network
 from .network_score import NetworkScore
+from .palette import BLUE, VERMILION
 from .still import PROTOCOLS, mean_known
 
-COLORS = {"dmdg": "#3D8FD1", "leach": "#D55E00"}
+COLORS = {"dmdg": BLUE, "leach": VERMILION}
 NAMES = {"dmdg": "DMDG", "leach": "LEACH"}
 # Where two curves coincide, the thin one stands on the wide one.
 _PROTOCOL_LOOKS: dict[str, Any] = {
@@ -27,7 +28,7 @@ _PROTOCOL_LOOKS: dict[str, Any] = {
 }
 _FLIGHT_LOOKS: dict[str, Any] = {
     "ranges alone": {"color": "#A8A8A8", "linewidth": 4.0},
-    "ranges and altitude": {"color": "#D55E00", "linewidth": 1.3},
+    "ranges and altitude": {"color": VERMILION, "linewidth": 1.3},
     "ranges and range rates": {"color": "#74B6EC", "linewidth": 4.0},
     "ranges, range rates, altitude": {"color": "#00573F", "linewidth": 1.3},
 }

@@ -16,9 +16,9 @@ from ..sins.units import MILLISECOND
 from .drawing import STYLE, WIDTH_IN, legend, panels, svg
 from .network_scenery import fleet_ned
 from .network_score import NetworkScore
-from .palette import AIRCRAFT, ANCHOR, CLUSTER_HEAD, LINK, NODE, UNLOCATED
+from .palette import AIRCRAFT, ANCHOR, BLUE, CLUSTER_HEAD, LINK, NODE, UNLOCATED, VERMILION
 
-_OWN, _FLEET = "#D55E00", "#3D8FD1"
+_OWN, _FLEET = VERMILION, BLUE
 _MAX_POINTS = 800
 _MAX_DELAY_MS = 200.0
 

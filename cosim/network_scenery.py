@@ -11,11 +11,14 @@ from ._rerun import PIXELS, Columns
 from .palette import (
     AIRCRAFT,
     ANCHOR,
+    BLUE,
     CLUSTER_HEAD,
     FAINT,
     FATE_COLORS,
+    GREEN,
     NODE,
     UNLOCATED,
+    VERMILION,
     rgb,
 )
 from .scenery import told
@@ -26,7 +29,7 @@ ERROR_EXAGGERATION = 30.0
 """Of errors and their ellipsoids: tens of metres in a fleet of tens of kilometres."""
 _RATE_HZ = 1.0
 """Of links and estimates."""
-_AXES = {"north": "#D55E00", "east": "#009E73", "down": "#3D8FD1"}
+_AXES = {"north": VERMILION, "east": GREEN, "down": BLUE}
 
 
 def fleet_ned(lla: Array) -> Array:

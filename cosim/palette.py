@@ -5,45 +5,48 @@ from ..align.methods import METHODS
 from ..network.record import FixFate
 
 # Distinct for colour-blind readers (after Okabe and Ito), and visible on white and on black.
-_FILTER_COLORS = ("#D55E00", "#3D8FD1", "#009E73", "#CC79A7", "#B59A00", "#7F6BD6", "#8A5A3B")
+VERMILION, BLUE, GREEN, PINK = "#D55E00", "#3D8FD1", "#009E73", "#CC79A7"
+OLIVE, VIOLET, BROWN = "#B59A00", "#7F6BD6", "#8A5A3B"
+GREY, LIGHT_GREY, YELLOW = "#8C8C8C", "#BBBBBB", "#FFD24A"
+_FILTER_COLORS = (VERMILION, BLUE, GREEN, PINK, OLIVE, VIOLET, BROWN)
 
 PATH = "#FFFFFF"
-TRUTH = "#8C8C8C"
-BOUND = "#8C8C8C"
-AIRCRAFT = "#FFD24A"
-ALIGNMENT = "#FFD24A"
+TRUTH = GREY
+BOUND = GREY
+AIRCRAFT = YELLOW
+ALIGNMENT = YELLOW
 """The part of the flight in which filters align."""
 
 OUTCOME_COLORS = {
-    FixOutcome.PENDING: "#BBBBBB",
-    FixOutcome.FUSED: "#3D8FD1",
-    FixOutcome.INITIALIZED: "#009E73",
-    FixOutcome.GATED: "#D55E00",
-    FixOutcome.DUPLICATE: "#B59A00",
-    FixOutcome.LATE: "#CC79A7",
+    FixOutcome.PENDING: LIGHT_GREY,
+    FixOutcome.FUSED: BLUE,
+    FixOutcome.INITIALIZED: GREEN,
+    FixOutcome.GATED: VERMILION,
+    FixOutcome.DUPLICATE: OLIVE,
+    FixOutcome.LATE: PINK,
     FixOutcome.NOT_FINITE: "#A00000",
-    FixOutcome.FUTURE: "#7F6BD6",
-    FixOutcome.INVALID: "#8A5A3B",
+    FixOutcome.FUTURE: VIOLET,
+    FixOutcome.INVALID: BROWN,
 }
 
-NODE = "#3D8FD1"
-ANCHOR = "#009E73"
-CLUSTER_HEAD = "#D55E00"
-LINK = "#8C8C8C"
+NODE = BLUE
+ANCHOR = GREEN
+CLUSTER_HEAD = VERMILION
+LINK = GREY
 FAINT = "#3C3C3C"
 """On black: links of which there are many."""
-UNLOCATED = "#CC79A7"
+UNLOCATED = PINK
 """A node without an estimate."""
 FATE_COLORS = {
-    FixFate.DELIVERED: "#3D8FD1",
-    FixFate.TOO_FEW_NEIGHBOURS: "#CC79A7",
-    FixFate.UNLOCALIZABLE: "#7F6BD6",
-    FixFate.AMBIGUOUS: "#B59A00",
-    FixFate.INCONSISTENT: "#8A5A3B",
-    FixFate.NOT_CONVERGED: "#BBBBBB",
-    FixFate.NO_ROUTE: "#009E73",
-    FixFate.LOST: "#D55E00",
-    FixFate.STILL_QUEUED: "#FFD24A",
+    FixFate.DELIVERED: BLUE,
+    FixFate.TOO_FEW_NEIGHBOURS: PINK,
+    FixFate.UNLOCALIZABLE: VIOLET,
+    FixFate.AMBIGUOUS: OLIVE,
+    FixFate.INCONSISTENT: BROWN,
+    FixFate.NOT_CONVERGED: LIGHT_GREY,
+    FixFate.NO_ROUTE: GREEN,
+    FixFate.LOST: VERMILION,
+    FixFate.STILL_QUEUED: YELLOW,
 }
 
 

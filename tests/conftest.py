@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import sys
 import tempfile
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,6 +22,7 @@ _digest = hashlib.sha256(b"".join(path.read_bytes() for path in _sources)).hexdi
 os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir(), f"fleetalign-compiled-{_digest}")))
 
 from fleetalign.aircraft.cache import cached_flight
+from fleetalign.cosim import cli
 from fleetalign.cosim.run import alignment_window
 from fleetalign.cosim.scenario import load_scenario
 from fleetalign.network.localization.problem import NodeOutcome
@@ -39,6 +41,20 @@ def flight_cache(tmp_path_factory):
         del os.environ["FLEETALIGN_CACHE"]
     else:
         os.environ["FLEETALIGN_CACHE"] = previous
+
+
+@pytest.fixture
+def command(monkeypatch, capfd):
+    """Runs the command line; returns (status, standard output, standard error)."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["fleetalign", *map(str, arguments)])
+        with pytest.raises(SystemExit) as exit_:
+            cli.main()
+        out, err = capfd.readouterr()
+        return exit_.value.code, out, err
+
+    return call
 
 
 @pytest.fixture(scope="session")

@@ -3,14 +3,13 @@
 import json
 import os
 import signal
-import sys
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from fleetalign.aircraft import cache
 from fleetalign.aircraft.envelope import FlightError
-from fleetalign.cosim import cli, outputs
+from fleetalign.cosim import outputs
 from fleetalign.cosim.run import simulate
 from fleetalign.cosim.score import COLUMNS
 
@@ -24,20 +23,6 @@ tail_s = 1
 [alignment]
 filters = ["l2linf", "ekf_stamped"]
 """
-
-
-@pytest.fixture
-def command(monkeypatch, capfd):
-    """Runs the command line; returns (status, standard output, standard error)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["fleetalign", *map(str, arguments)])
-        with pytest.raises(SystemExit) as exit_:
-            cli.main()
-        out, err = capfd.readouterr()
-        return exit_.value.code, out, err
-
-    return call
 
 
 def test_run_writes_the_files_of_the_contract(command, tmp_path):

@@ -1,14 +1,14 @@
 """The command `lmi`: what it prints, and how it refuses."""
 
 import json
-import sys
+from functools import partial
 
 import numpy as np
 import pytest
 from fleetalign.align.lmi.analysis import ClosedLoop, peak_gain
 from fleetalign.align.lmi.design import Kind
 from fleetalign.align.lmi.plant import Filter
-from fleetalign.cosim import cli, lmi_command
+from fleetalign.cosim import lmi_command
 from fleetalign.cosim.plants import load_plant, plant_names
 
 MATRICES = """
@@ -21,17 +21,9 @@ H = [[1.0, 0.0]]
 
 
 @pytest.fixture
-def command(monkeypatch, capfd):
-    """Runs `fleetalign lmi`; returns (status, standard output, standard error)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["fleetalign", "lmi", *map(str, arguments)])
-        with pytest.raises(SystemExit) as exit_:
-            cli.main()
-        out, err = capfd.readouterr()
-        return exit_.value.code, out, err
-
-    return call
+def command(command):
+    """Runs `fleetalign lmi`."""
+    return partial(command, "lmi")
 
 
 def test_prints_the_design_of_the_bundled_plant(command):

@@ -3,7 +3,6 @@
 import io
 import json
 import os
-import sys
 import threading
 from dataclasses import replace
 from functools import partial
@@ -11,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from fleetalign.cosim import cli, localize_studies
+from fleetalign.cosim import localize_studies
 from fleetalign.cosim.drawing import svg
 from fleetalign.cosim.localize import LocalizeStudy, run_study
 from fleetalign.cosim.localize_figures import draw_delays
@@ -344,20 +343,6 @@ def test_the_same_study_gives_the_same_results_on_one_core(study, flight, result
     done, total = steps[-1]
     assert done == pytest.approx(total)
     assert all(a < b for (a, _), (b, _) in pairwise(steps))
-
-
-@pytest.fixture
-def command(monkeypatch, capfd):
-    """Runs the command line; returns (status, standard output, standard error)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["fleetalign", *map(str, arguments)])
-        with pytest.raises(SystemExit) as exit_:
-            cli.main()
-        out, err = capfd.readouterr()
-        return exit_.value.code, out, err
-
-    return call
 
 
 def test_the_command_writes_a_page_and_its_data(command, tmp_path, monkeypatch):
