@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fleetalign.align.methods import METHODS
 from fleetalign.cosim.scenario import ScenarioError, load_scenario, replaced, scenario_names
 from fleetalign.network.fixes import write_fixes
 from fleetalign.network.source import draw_fixes
