@@ -53,16 +53,25 @@ def check_displacement(file: Path, fixes: Fixes, layout: FixColumns) -> float | 
                 f"{file}: positions and velocities do not belong together: the way from fix to fix is "
                 f"{ratio:.3g} times that of the velocities; allowed is {1 / FACTOR:.2g} to {FACTOR:g}{hint}"
             )
-    climbing = np.abs(expected[:, 2]) > max(NOISE * sd, 2.0)
-    if np.count_nonzero(climbing) > 10:
-        share = float(np.median(moved[climbing, 2] / expected[climbing, 2]))
-        if share < 0:
-            raise ReplayError(
-                f"{file}, columns {layout.height}, {layout.velocity[2]}: height changes {share:.3g} times as "
-                f"the vertical velocity says: allowed is a positive number; heights count upwards, and the "
-                f"third velocity is {'down' if layout.axes == 'NED' else 'up'} with axes = {layout.axes}"
-            )
+    _check_climb(file, fixes, way, layout, max(NOISE * sd, 2.0))
     return ratio
+
+
+def _check_climb(file: Path, fixes: Fixes, way: Array, layout: FixColumns, least_m: float) -> None:
+    """Raise `ReplayError` where heights fall as the vertical velocity says they rise."""
+    lag = max(1, len(fixes) // 4)
+    expected = way[lag:, 2] - way[:-lag, 2]
+    moved = earth.displacement_n(fixes.lla[lag:], fixes.lla[:-lag])[:, 2]
+    climbing = np.abs(expected) > least_m
+    if np.count_nonzero(climbing) <= 10:
+        return
+    share = float(np.median(moved[climbing] / expected[climbing]))
+    if share < 0:
+        raise ReplayError(
+            f"{file}, columns {layout.height}, {layout.velocity[2]}: height changes {share:.3g} times as the "
+            f"vertical velocity says: allowed is a positive number; heights count upwards, and the third "
+            f"velocity is {'down' if layout.axes == 'NED' else 'up'} with axes = {layout.axes}"
+        )
 
 
 def _other_layouts(

@@ -14,6 +14,7 @@ Rows = NDArray[np.int64]
 INTERVAL_S = 2e-4, 0.2
 """Between the samples of an IMU: what lies outside is a wrong unit of time."""
 LEAST_ROWS = 10
+_ROUNDING_S = 1e-6
 
 
 @dataclass(frozen=True)
@@ -50,8 +51,9 @@ def in_order(
     """
     latest = np.maximum.accumulate(time)
     back = latest - time
-    if len(time) and back.max() > limit_s:
-        row = int(np.argmax(back > limit_s))
+    too_far = back > limit_s + _ROUNDING_S
+    if too_far.any():
+        row = int(np.argmax(too_far))
         raise ReplayError(
             f"{file}, row {row + 1}: time goes back from {latest[row]:.10g} s to {time[row]:.10g} s; "
             f"allowed is {limit_s:g} s (recorded.backward_limit_s)"

@@ -119,7 +119,7 @@ def _numbers(file: Path, column: str, table: pa.Table, may_lack: bool) -> Array:
     if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)):
         # One odd cell makes its whole column text: find it for the message.
         for row, cell in enumerate(cells.to_pylist(), start=1):
-            if not (_is_finite_number(cell) or (may_lack and cell is None)):
+            if not (_is_finite_number(cell) or (may_lack and cell in (None, ""))):
                 raise _not_finite(file, column, row, cell)
         raise TableError(file, f"holds {kind}, not numbers", column)
     values = cells.cast(pa.float64(), safe=False).to_numpy()
