@@ -73,8 +73,10 @@ class ManeuverSearch(Settings):
     """Weight of the heading's variance beside those of the two level axes."""
     knot_s: float = Field(default=0.5, ge=0.1, le=2)
     """Interval of the profile's knots and of the bound's recursion."""
+    simple_starts: int = Field(default=8, ge=1, le=8)
+    """So many of S-manoeuvres and steepest turns one way and the other are followed."""
     random_starts: int = Field(default=4, ge=0, le=100)
-    """Besides the S, the long turn and the turns one way and then the other."""
+    """Followed besides."""
     seed: int = Field(default=1, ge=0, le=2**31 - 1)
     max_iterations: int = Field(default=150, ge=1, le=5000)
 
@@ -152,7 +154,7 @@ def best_maneuver(
     """
     n = max(round(limits.duration_s / search.knot_s), 8)
     problem, attempts = Problem(task, limits, search, n), []
-    named = starts(limits, problem.dt, n, search.random_starts, search.seed)
+    named = starts(limits, problem.dt, n, search.simple_starts, search.random_starts, search.seed)
     for name, bank in named.items():
         attempts.append(problem.solve(name, bank))
         if progress:

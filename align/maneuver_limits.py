@@ -14,7 +14,7 @@ class ManeuverLimits(Settings):
     duration_s: float = Field(default=40.0, ge=5, le=40)
     max_bank_deg: float = Field(default=60.0, ge=5, le=80)
     """That the aircraft may reach, either side."""
-    bank_margin_deg: float = Field(default=1.5, ge=0, le=10)
+    bank_margin_deg: float = Field(default=1.2, ge=0, le=10)
     """The profile stays so far below `max_bank_deg`: room for the aircraft to overshoot."""
     max_load_factor_g: float = Field(default=3.0, ge=1.01, le=9)
     """Of the steady turn, ``1 / cos(bank)``; rolling adds to it in flight."""

@@ -1,6 +1,6 @@
 """Profiles to start the search from, and the families of simple S-manoeuvres to compare its end with."""
 
-from itertools import product
+from itertools import islice, product
 
 import numpy as np
 
@@ -49,24 +49,28 @@ def turns(time: Array, limits: ManeuverLimits, switches_s: tuple[float, ...]) ->
     return np.clip(found, -steepest, steepest) * DEG
 
 
-def starts(limits: ManeuverLimits, dt: float, n: int, random: int, seed: int) -> dict[str, Array]:
-    """Named starts, banks (n + 1,) rad: S families, a long turn, two turns, and random ones."""
+def starts(
+    limits: ManeuverLimits, dt: float, n: int, simple: int, random: int, seed: int
+) -> dict[str, Array]:
+    """Named starts, banks (n + 1,) rad: the first ``simple`` of eight simple ones, and random ones."""
     time, whole = knot_times(n, dt), limits.duration_s
     bank_deg = 0.95 * limits.profile_bank_deg
-    found = {
-        "S, one period": s_bank(time, bank_deg, whole, 0.0, 2.0),
-        "S, one period, from its peak": s_bank(time, bank_deg, whole, 90.0, 2.0),
-        "S, two periods": s_bank(time, bank_deg, whole / 2, 0.0, 2.0),
-        "one long turn": turns(time, limits, ()),
+    named = {
         "two turns, 1/5 and 4/5": turns(time, limits, (whole / 5,)),
+        "three turns": turns(time, limits, (whole / 5, 0.8 * whole)),
+        "S, one period, from its peak": s_bank(time, bank_deg, whole, 90.0, 2.0),
+        "S, one period": s_bank(time, bank_deg, whole, 0.0, 2.0),
+        "one long turn": turns(time, limits, ()),
         "two turns, 4/5 and 1/5": turns(time, limits, (0.8 * whole,)),
         "two equal turns": turns(time, limits, (whole / 2,)),
-        "three turns": turns(time, limits, (whole / 5, 0.8 * whole)),
+        "S, two periods": s_bank(time, bank_deg, whole / 2, 0.0, 2.0),
     }
+    found = dict(islice(named.items(), simple))
     rng = np.random.default_rng(seed)
     for i in range(random):
         points = rng.uniform(-bank_deg, bank_deg, 9) * DEG
-        found[f"random {i + 1}"] = np.interp(time, np.linspace(0, whole, 9), np.array([0, *points[1:-1], 0]))
+        points[[0, -1]] = 0.0
+        found[f"random {i + 1}"] = np.interp(time, np.linspace(0, whole, 9), points)
     return found
 
 
