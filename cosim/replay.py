@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from ..align.estimate import Array, Estimate
-from ..align.filters import FILTERS, DelayModel, FilterSettings, align
+from ..align.filters import DelayModel, FilterSettings
+from ..align.methods import METHODS, estimate
 from ..network.fixes import Fixes
 from ..network.tables import TableError
 from ..sins import attitude
@@ -21,7 +22,7 @@ from .replay_time import TimeBase
 COMPONENTS = ("north_m", "east_m", "down_m", "v_north_mps", "v_east_mps", "v_down_mps")
 """Of an innovation."""
 _PER_FIX = ("innovation", "nis", "fix_time", "fix_outcome")
-_MOST_ROWS = 200_000
+_MOST_ROWS, _MOST_HZ = 200_000, 1000.0
 """Of the history from which standard deviations of innovations are taken."""
 
 
@@ -52,52 +53,58 @@ def replay(
     imu_file: Path, fixes_file: Path, settings: ReplayMap, progress: Callable[[float, float], None]
 ) -> Replay:
     """Read, check and align. Raises `ReplayError`, one line: file, row or column, value, what is allowed."""
-    assert settings.initial is not None
+    euler, initial = settings.euler, settings.initial
     steps = len(settings.alignment.filters) + 1
     try:
-        imu = read_imu(imu_file, settings.recorded, settings.initial.time_s)
+        imu = read_imu(imu_file, settings.recorded, initial.time_s if initial else None)
         checks: dict[str, float | None] = {**check_imu(imu_file, imu, settings.recorded.imu)}
-        q_nb = attitude.from_euler(*settings.euler)
-        checks["tilt_deg"] = check_upright(imu_file, imu, q_nb, settings.recorded.imu) / DEG
+        checks |= {"tilt_deg": None, "heading_minus_course_deg": None}
+        if euler is not None:
+            q_nb = attitude.from_euler(*euler)
+            checks["tilt_deg"] = check_upright(imu_file, imu, q_nb, settings.recorded.imu) / DEG
         fixes, fix_base = read_recorded_fixes(fixes_file, settings.recorded)
     except TableError as error:
         raise ReplayError(str(error)) from error
     checks |= check_together((imu_file, fixes_file), imu, fixes, settings.recorded)
-    offset = course_offset(fixes, float(settings.euler[2]))
-    checks["heading_minus_course_deg"] = None if offset is None else offset / DEG
+    offset = None if euler is None else course_offset(fixes, float(euler[2]))
+    if offset is not None:
+        checks["heading_minus_course_deg"] = offset / DEG
     progress(1, steps)
     estimates, innovation_sd = {}, {}
     for done, name in enumerate(settings.alignment.filters, start=2):
-        estimates[name], innovation_sd[name] = _aligned(FILTERS[name], imu, fixes, settings)
+        estimates[name], innovation_sd[name] = _aligned(name, imu, fixes, settings)
         progress(done, steps)
     files = imu_file, fixes_file
     return Replay(files, settings, imu, fixes, fix_base, checks, estimates, innovation_sd)
 
 
-def _aligned(
-    delay: DelayModel, imu: RecordedImu, fixes: Fixes, settings: ReplayMap
-) -> tuple[Estimate, Array]:
+def _aligned(name: str, imu: RecordedImu, fixes: Fixes, settings: ReplayMap) -> tuple[Estimate, Array]:
     """Estimate at the output rate, and standard deviations of its innovations, (k, 6)."""
     filter_settings, dt = settings.settings, imu.base.interval_s
     # A history of every sample tells what a fix met; a thinner one is kept.
     wanted = max(1, round(1 / (filter_settings.output_rate_hz * dt)))
-    finer = max(1, len(imu.time) // _MOST_ROWS)
+    finer = max(1, len(imu.time) // _MOST_ROWS, round(1 / (_MOST_HZ * dt)))
     kept = max(1, round(wanted / finer))
     every = finer if kept > 1 else wanted
-    rate = min(1 / (every * dt), 1000.0)
-    estimate = align(
+    rate = min(1 / (every * dt), _MOST_HZ)
+    euler = np.zeros(3) if settings.euler is None else settings.euler
+    history = estimate(
+        name,
         imu.time,
         imu.dtheta_b,
         imu.dv_b,
-        attitude.from_euler(*settings.euler),
+        attitude.from_euler(*euler),
         fixes,
-        delay,
         filter_settings.model_copy(update={"output_rate_hz": rate}),
         settings.imu,
         settings.gravity_model,
     )
-    sd = _innovation_sd(estimate, fixes, delay, filter_settings, settings.imu.vibration_mps)
-    return _thinned(estimate, kept), sd
+    method = METHODS[name]
+    if method.smoothed:
+        # What a smoother is sure of is not what its filter was, when the fix came.
+        return _thinned(history, kept), np.full((len(fixes), 6), np.nan)
+    sd = _innovation_sd(history, fixes, method.delay, filter_settings, settings.imu.vibration_mps)
+    return _thinned(history, kept), sd
 
 
 def _thinned(estimate: Estimate, every: int) -> Estimate:

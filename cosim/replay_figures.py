@@ -24,7 +24,10 @@ _INNOVATIONS = ("north, m", "east, m", "down, m", "north, m/s", "east, m/s", "do
 
 
 def draw_replay(done: Replay) -> dict[str, str]:
-    """All figures as SVG elements by name; ``innovations_<filter>`` of each, ``delay`` if it is estimated."""
+    """All figures as SVG elements by name; ``delay`` if it is estimated.
+
+    ``innovations_<filter>`` of each, but one alone for filters whose innovations are the same.
+    """
     with mpl.rc_context(STYLE):
         figures = {"track": svg(_track(done))}
         if not done.started:
@@ -34,7 +37,8 @@ def draw_replay(done: Replay) -> dict[str, str]:
             "attitude": svg(_attitude(done)),
             "biases": svg(_biases(done)),
         }
-        figures |= {f"innovations_{name}": svg(_innovations(done, name)) for name in done.started}
+        for names in _alike(done):
+            figures[f"innovations_{names[0]}"] = svg(_innovations(done, names))
         estimating = {name: e for name, e in done.started.items() if e.sd[-1, GYRO.stop] > 0}
         if estimating:
             figures["delay"] = svg(_delay(done, estimating))
@@ -56,7 +60,24 @@ def _settled_limit(time: Array, values: Array, sd: Array) -> float:
     return float(max(1.3 * np.quantile(np.abs(values[settled]), 0.998), 3 * np.median(sd[settled]), 1e-9))
 
 
-def _innovations(done: Replay, name: str) -> Figure:
+def _alike(done: Replay) -> list[list[str]]:
+    """Filters in groups with the same innovations; those without sigmas left out."""
+    groups: list[list[str]] = []
+    for name, estimate in done.started.items():
+        if not np.isfinite(done.innovation_sd[name]).any():
+            continue
+        for group in groups:
+            first = done.estimates[group[0]]
+            if np.array_equal(first.innovation, estimate.innovation, equal_nan=True):
+                group.append(name)
+                break
+        else:
+            groups.append([name])
+    return groups
+
+
+def _innovations(done: Replay, names: list[str]) -> Figure:
+    name = names[0]
     estimate, sd, start = done.estimates[name], done.innovation_sd[name], done.imu.time[0]
     known = np.isfinite(estimate.innovation).all(axis=1) & np.isfinite(sd).all(axis=1)
     known = np.flatnonzero(known)[np.argsort(estimate.fix_time[known], kind="stable")]
@@ -69,7 +90,7 @@ def _innovations(done: Replay, name: str) -> Figure:
         ax.plot(time[rows], two_sigma[rows], color="black", linewidth=0.9, label="±2 sigma")
         ax.plot(time[rows], -two_sigma[rows], color="black", linewidth=0.9)
         gated = estimate.fix_outcome[known] == FixOutcome.GATED
-        ax.plot(time[rows], values[rows], linewidth=0.7, color=filter_color(name), label=name)
+        ax.plot(time[rows], values[rows], linewidth=0.7, color=filter_color(name), label=" and ".join(names))
         if gated.any():
             color = OUTCOME_COLORS[FixOutcome.GATED]
             ax.plot(time[gated], values[gated], "x", markersize=4, color=color, label="gated")
@@ -77,6 +98,7 @@ def _innovations(done: Replay, name: str) -> Figure:
             limit = _settled_limit(time, values, sd[known, i])
             ax.set_ylim(-limit, limit)
         ax.set_ylabel(label)
+        ax.locator_params(nbins=5)
         ax.tick_params(labelbottom=i > 2)
         if i > 2:
             ax.set_xlabel(_TIME)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from ..align.filters import FILTERS, FilterSettings
+from ..align.methods import METHODS
 from ..sins import attitude
 from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
@@ -152,10 +153,10 @@ class ReplayAlignment(Settings):
     @classmethod
     def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         for name in names:
-            if name not in FILTERS:
-                raise ValueError(f"no filter {name!r}; known: {', '.join(FILTERS)}")
+            if name not in METHODS:
+                raise ValueError(f"no filter {name!r}; known: {', '.join(METHODS)}")
         if not names:
-            raise ValueError(f"at least one of: {', '.join(FILTERS)}")
+            raise ValueError(f"at least one of: {', '.join(METHODS)}")
         return tuple(dict.fromkeys(names))
 
 
@@ -165,6 +166,7 @@ class ReplayMap(Settings):
     title: str = "Replay of a recording"
     recorded: Recorded = Recorded()
     initial: InitialAttitude | None = None
+    """Not needed where ``alignment.settings.coarse_stage`` finds it."""
     imu: ImuErrors = ImuErrors()
     """Error budget that the filters are told."""
     alignment: ReplayAlignment = ReplayAlignment()
@@ -178,9 +180,10 @@ class ReplayMap(Settings):
         return stated or (of_the_files if of_the_files in _CONVENTIONS else "FRD/NED")
 
     @property
-    def euler(self) -> Array:
-        """Initial roll, pitch and heading, rad, in the sense of `sins.attitude`; needs ``initial``."""
-        assert self.initial is not None
+    def euler(self) -> Array | None:
+        """Initial roll, pitch and heading, rad, in the sense of `sins.attitude`, if there are any."""
+        if self.initial is None:
+            return None
         zero_deg, heading_sign, pitch_sign = _CONVENTIONS[self.convention]
         roll, pitch = self.initial.roll_deg, pitch_sign * self.initial.pitch_deg
         heading = zero_deg + heading_sign * self.initial.heading_deg
@@ -222,8 +225,11 @@ def load_map(path: Path | None, initial: str | None, filters: list[str] | None) 
         read = ReplayMap.model_validate(content)
     except ValidationError as error:
         raise ReplayError(told_mistakes("option", error, ReplayMap)) from error
-    if read.initial is None:
-        raise ReplayError("--initial: missing: roll,pitch,heading in deg, or a table [initial] in the map")
+    if read.initial is None and read.alignment.settings.coarse_stage == "none":
+        raise ReplayError(
+            "--initial: missing: roll,pitch,heading in deg, or a table [initial] in the map, "
+            'or alignment.settings.coarse_stage = "in_motion"'
+        )
     return read
 
 

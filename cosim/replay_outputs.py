@@ -17,6 +17,7 @@ from ..sins.units import DEG, DEG_PER_HOUR, MICRO_G, MILLISECOND
 from .files import whole_file
 from .outputs import bias_columns, estimates_table, navigation_columns, surroundings
 from .replay import COMPONENTS, Replay, attitude_sd
+from .replay_map import ReplayMap
 
 _SD = (
     *("sd_roll_deg", "sd_pitch_deg", "sd_heading_deg"),
@@ -37,14 +38,21 @@ def summarize_replay(done: Replay) -> dict[str, Any]:
             "imu": asdict(imu.base),
             "fixes": asdict(done.fix_base),
             "checks": done.checks,
-            "initial": {
-                **dict(zip(("roll_deg", "pitch_deg", "heading_deg"), settings.euler / DEG, strict=True)),
-                **settings.settings.model_dump(include={"level_sd_deg", "heading_sd_deg"}),
-                "convention": settings.convention,
-            },
+            "initial": _initial(settings),
             "filters": {name: _summarize_filter(e) for name, e in done.estimates.items()},
         }
     )
+
+
+def _initial(settings: ReplayMap) -> dict[str, Any] | None:
+    """The attitude that the filters started from, in the sense of `sins.attitude`, None if there was none."""
+    if settings.euler is None:
+        return None
+    return {
+        **dict(zip(("roll_deg", "pitch_deg", "heading_deg"), settings.euler / DEG, strict=True)),
+        **settings.settings.model_dump(include={"level_sd_deg", "heading_sd_deg"}),
+        "convention": settings.convention,
+    }
 
 
 def _summarize_filter(estimate: Estimate) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 import json
 import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import pyarrow.parquet as pq
 import pytest
 from fleetalign.align.consistency import chi_square_quantile
 from fleetalign.align.estimate import FixOutcome
-from fleetalign.cosim import cli
 from fleetalign.cosim.replay import attitude_sd, replay
 from fleetalign.cosim.replay_map import TO_FRD, TO_NED, ReplayError, ReplayMap, load_map
 from fleetalign.cosim.replay_outputs import summarize_replay
@@ -113,20 +111,6 @@ def done(files):
     return replay(*files, a_map(alignment={"filters": ["ekf_stamped", "l2linf"]}), lambda *_: None)
 
 
-@pytest.fixture
-def command(monkeypatch, capfd):
-    """Runs the command line; returns (status, standard output, standard error)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["fleetalign", *map(str, arguments)])
-        with pytest.raises(SystemExit) as exit_:
-            cli.main()
-        out, err = capfd.readouterr()
-        return exit_.value.code, out, err
-
-    return call
-
-
 def refused(files, recorded, **changes) -> str:
     """The one line that a replay of these files by this layout ends with."""
     with pytest.raises(ReplayError) as error:
@@ -145,6 +129,20 @@ def test_filters_find_the_attitude_within_their_sigmas(done, recording):
         assert (np.abs(error) < 4 * sd).all(), name
         bias = recording[0].errors.gyro_bias
         assert (np.abs(e.gyro_bias[-1] - bias) < 4 * e.sd[-1, 12:15]).all(), name
+
+
+def test_no_attitude_is_needed_where_motion_tells_it(files, recording):
+    """The coarse stage finds the heading, and the smoother knows the start as well as the end."""
+    settings = {"coarse_stage": "in_motion"}
+    stated = a_map(alignment={"filters": ["ekf_stamped", "smoother"], "settings": settings}, initial=None)
+    found = replay(*files, stated, lambda *_: None)
+    assert summarize_replay(found)["initial"] is None
+    for name, rows in (("ekf_stamped", [-1]), ("smoother", [0, -1])):
+        e = found.estimates[name]
+        epoch = np.rint((e.time[rows] - START_S) / DT).astype(int)
+        error = np.abs(attitude.attitude_error(e.q_nb[rows], recording[2].q_nb[epoch]))
+        assert (error < 4 * attitude_sd(e)[rows]).all(), name
+    assert np.isnan(found.innovation_sd["smoother"]).all()
 
 
 def test_innovations_keep_to_their_sigmas(done):
@@ -518,10 +516,10 @@ def test_replay_writes_its_files_and_prints_json(command, files, tmp_path):
     for path in ("innovations/v_down_mps/ekf", "attitude/heading_deg/l2linf", "imu/gyro_bias_z_deg_h/ekf"):
         assert any(entity.strip("/").startswith(path) for entity in entities), path
 
-    _, again, _ = command(*arguments, tmp_path / "b")
-    assert again == out
-    status, out, _ = command(*arguments[:7], "--filter", "ekf", "--out", tmp_path / "c")
+    status, out, _ = command(*arguments[:7], "--filter", "ekf", "--out", tmp_path / "b")
     assert status == 0
+    again = json.loads((tmp_path / "b" / "summary.json").read_text())
+    assert again["filters"] == {"ekf": summary["filters"]["ekf"]}
     assert "Nothing to mend" in out
     assert "ekf_stamped" not in out
 
