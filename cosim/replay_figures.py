@@ -163,7 +163,7 @@ def _unwrapped(angle: Array) -> Array:
 def _biases(done: Replay) -> Figure:
     figure, axes = panels(2, 3, 4.6, hspace=0.12)
     for name, e in done.started.items():
-        rows, width = _thin(len(e.time)), _widths(done)[name]
+        rows, width = _thin(len(e.time), _MAX_MARKS), _widths(done)[name]
         time = e.time[rows] - done.imu.time[0]
         for line, unit, bias, part in (
             (axes[0], 1e3 * MICRO_G, e.accel_bias, ACCEL),
