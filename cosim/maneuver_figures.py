@@ -4,6 +4,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from ..sins.units import DEG
 from .drawing import STYLE, legend, log_scale, panels, svg
@@ -95,6 +96,9 @@ def _grid(study: ManeuverStudy) -> Figure:
         level = np.sqrt(np.mean(flown.bound_sd[-1, :2] ** 2))
         ax.plot(flown.bound_sd[-1, 2], level, "o", color=COLORS[key], label=f"{_LABELS[key]}, as flown")
     ax.set_xscale("log")
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    ax.xaxis.set_minor_locator(NullLocator())
     ax.set(xlabel="bound on heading at the end, arcmin", ylabel="bound on level at the end, arcsec")
     log_scale(ax)
     legend(figure, ax)
