@@ -17,7 +17,8 @@ from ..align.maneuver_starts import s_families
 from ..network.source import FixSource
 from ..sins import attitude
 from ..sins.units import DEG, MILLISECOND
-from .run import Run, alignment_window, bound_of, fixes_of, simulate_all
+from .bound import bound_of
+from .run import Run, alignment_window, fixes_of, simulate_all
 from .scenario import Scenario, ScenarioError, replaced
 from .score import FilterScore, Scorer, standard_deviations
 

@@ -72,7 +72,7 @@ def _flown(flown: Flown) -> dict[str, Any]:
     speed, altitude = np.linalg.norm(window.v_n, axis=1), window.lla[:, 2] - plan.altitude_m
     bank_error = (window.bank - flown.asked_bank) / DEG
     bound: dict[str, Any] = dict(zip(COLUMNS, flown.bound_sd[-1].tolist(), strict=True))
-    filters = summarize_runs(flown.scenario, flown.scores, None)["filters"]
+    filters = summarize_runs(flown.scenario, flown.scores, None, flown.bound_sd[-1])["filters"]
     for name, row in filters.items():
         levels = np.sqrt(np.mean(flown.scores[name].errors[:, -1, :2] ** 2, axis=1, keepdims=True))
         interval = bootstrap_rms_interval(levels)[:, 0]

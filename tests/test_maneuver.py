@@ -178,7 +178,7 @@ def test_a_search_that_is_cut_short_says_so():
 @pytest.fixture(scope="module")
 def scenario(stated) -> Scenario:
     noise = {"velocity_sd_mps": 0.03, "rate_hz": None}
-    quick = replaced(stated, {"flight.s_start_s": 145.0, "flight.fdm_rate_hz": 400, "runs": 40})
+    quick = replaced(stated, {"flight.s_start_s": 145.0, "flight.fdm_rate_hz": 200, "runs": 40})
     return with_stated_fixes(quick, "stated_fixes", LIMITS, noise)
 
 
@@ -245,6 +245,7 @@ title = "A short manoeuvre"
 runs = 2
 [flight]
 s_start_s = 145
+fdm_rate_hz = 200
 [fixes]
 kind = "simulated"
 velocity_sd_mps = 0.03
