@@ -60,9 +60,9 @@ def predict(X, P, time, increments, gap_variance, k, noise_density, gravity_mode
 def kinematics(X, time, increments, k, samples, gravity_model, C, f_n, w_b, arm, u):
     """Velocity and acceleration of the antenna in n: ``u``, shape (6,).
 
-    Specific force and rate are averaged over the last ``samples`` intervals, so that vibration is not taken
-    for acceleration; ``f_n`` (3,), ``C`` (C_nb), the rate ``w_b`` (3,) against n and ``arm`` (2, 3), the
-    lever arm and its rate of change in n, are written too.
+    The specific force is averaged over the last ``samples`` intervals, so that vibration is not taken for
+    acceleration. ``f_n`` (3,), ``C`` (C_nb), the rate ``w_b`` (3,) against n and ``arm`` (2, 3), the lever
+    arm and its rate of change in n, are written too.
     """
     fill_C_nb(X[6:10], C)
     first = max(k - samples, 0)
@@ -76,12 +76,13 @@ def kinematics(X, time, increments, k, samples, gravity_model, C, f_n, w_b, arm,
     for j in range(3):
         w_b[j] = 0.0
         if span > 0:
-            turned, mean = 0.0, 0.0
+            mean = 0.0
             for s in range(first + 1, k + 1):
-                turned += increments[s, j]
                 mean += increments[s, 3 + j]
+            # The rate of now: that of a window's middle would be late in every roll.
+            turned = increments[k, j] if k == 1 else 1.5 * increments[k, j] - 0.5 * increments[k - 1, j]
             in_b = C[0, j] * in_north + C[1, j] * en_east + C[2, j] * in_down
-            w_b[j] = turned / span - X[13 + j] - in_b
+            w_b[j] = turned / (time[k] - time[k - 1]) - X[13 + j] - in_b
             mean = mean / span - X[10 + j]
             for i in range(3):
                 f_n[i] += C[i, j] * mean

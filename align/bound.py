@@ -1,7 +1,9 @@
-"""The floor: posterior Cramer-Rao bound of an alignment, stamps known.
+"""The floor: posterior Cramer-Rao bound of an alignment, with stamps known and with delays unknown.
 
 The trajectory is given and the priors and noises are Gaussian, so the bound is the covariance of the
-error-state filter run along the truth: perfect increments, exact fixes, no initial misalignment.
+error-state filter run along the truth: perfect increments, exact fixes, no initial misalignment. A delay that
+nobody tells is one more unknown: its mean a state, its random part, taken for Gaussian of the variance that
+the delays really have, a noise along the motion.
 
 References
 ----------
@@ -9,22 +11,27 @@ References
        nonlinear filtering", IEEE Transactions on Signal Processing 46 (1998).
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+
+import numpy as np
 
 from ..network.fixes import Fixes
 from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
+from ..sins.units import MILLISECOND
 from .estimate import Array, Estimate
 from .filters import DelayModel, FilterSettings, align
 
 
-def stamped_bound(
+def bound(
     time: Array,
     dtheta_b: Array,
     dv_b: Array,
     q_nb: Array,
     fixes: Fixes,
-    truth_at_fixes: tuple[Array, Array],
+    antenna_at: Callable[[Array], tuple[Array, Array]],
+    stamps_known: bool,
     settings: FilterSettings,
     imu: ImuErrors,
     gravity: GravityModel,
@@ -34,10 +41,24 @@ def stamped_bound(
     Parameters
     ----------
     time (n,), dtheta_b (n, 3), dv_b (n, 3) : ideal record; q_nb (4,) : true attitude at its start.
-    fixes : the fixes as sent; they count from the time of their validity on, without delay.
-    truth_at_fixes : true lla (k, 3) and v_n (k, 3) at ``fixes.t_valid``.
+    fixes : the fixes as sent, with their covariances and times.
+    antenna_at : true lla (k, 3) and v_n (k, 3) of the antenna at times (k,) of the record.
+    stamps_known : whether fixes count from the time of their validity on, or nothing but their arrival and
+    the
+        prior of ``settings.delay_mean_sd_ms`` about the mean of the delays is known.
     settings, imu, gravity : as for `filters.align`.
     """
-    lla, v_n = truth_at_fixes
-    exact = replace(fixes, lla=lla, v_n=v_n, t_stamp=fixes.t_valid, t_arrival=fixes.t_valid)
-    return align(time, dtheta_b, dv_b, q_nb, exact, DelayModel.STAMPED, settings, imu, gravity)
+    coarse_known = settings.model_copy(update={"coarse_stage": "none"})
+    record = (time, dtheta_b, dv_b, q_nb)
+    if stamps_known:
+        lla, v_n = antenna_at(fixes.t_valid)
+        exact = replace(fixes, lla=lla, v_n=v_n, t_stamp=fixes.t_valid, t_arrival=fixes.t_valid)
+        return align(*record, exact, DelayModel.STAMPED, coarse_known, imu, gravity)
+    delay = fixes.t_arrival - fixes.t_valid
+    mean, sd = (float(np.mean(delay)), float(np.std(delay))) if len(delay) else (0.0, 0.0)
+    lla, v_n = antenna_at(np.clip(fixes.t_arrival - mean, time[0], time[-1]))
+    known = coarse_known.model_copy(
+        update={"delay_mean_ms": mean / MILLISECOND, "delay_sd_ms": sd / MILLISECOND}
+    )
+    exact = replace(fixes, lla=lla, v_n=v_n)
+    return align(*record, exact, DelayModel.ESTIMATED, known, imu, gravity)

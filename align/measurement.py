@@ -60,8 +60,9 @@ def kinematics(
 ) -> Motion:
     """The motion of the antenna.
 
-    ``f_b`` and ``w_ib_b``, shape (3,), are specific force, m/s^2, and rate against inertial space, rad/s, in
-    b, averaged over vibration. What an angular acceleration does to the antenna's acceleration is left out.
+    ``f_b``, shape (3,), is the specific force in b, m/s^2, averaged over vibration; ``w_ib_b``, shape (3,),
+    the rate against inertial space, rad/s, of now. What an angular acceleration does to the antenna's
+    acceleration is left out.
     """
     lat, _, height = state.lla
     C_nb = attitude.to_dcm(state.q_nb)

@@ -147,7 +147,7 @@ class NumpyFilter:
         else:
             span = self.time[k] - self.time[back]
             f_b = self.dv_b[back + 1 : k + 1].sum(axis=0) / span - belief.accel_bias
-            w_b = self.dtheta_b[back + 1 : k + 1].sum(axis=0) / span - belief.gyro_bias
+            w_b = self.dtheta_b[k] / dt - belief.gyro_bias
             motion = kinematics(navigation, f_b, w_b, np.zeros(3), self.gravity)
         estimated = self.delay is DelayModel.ESTIMATED
         measurement = measure(

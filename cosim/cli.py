@@ -8,6 +8,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from .bound_command import bound
 from .command_line import InputError, ScenarioArgument, loaded
 from .fly_command import fly
 from .lmi_command import lmi
@@ -98,7 +99,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (run, fly, localize, replay, lmi, maneuver, check):
+for command in (run, fly, localize, bound, replay, lmi, maneuver, check):
     app.command()(command)
 app.command("list")(list_)
 

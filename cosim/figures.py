@@ -1,7 +1,7 @@
 """The report's figures, as SVG text.
 
-Filters keep the colours of `palette`; the bound is a black dashed line. A band spans the 5th to the 95th
-percentile of the runs.
+Filters keep the colours of `palette`; the bounds are black, dashed with stamps known, dotted without. A band
+spans the 5th to the 95th percentile of the runs.
 """
 
 from collections.abc import Mapping
@@ -17,6 +17,7 @@ from ..align.consistency import mean_band
 from ..align.estimate import Array
 from ..sins import attitude
 from ..sins.units import DEG, MILLISECOND
+from .bound import DELAY_UNKNOWN, STAMPED
 from .drawing import STYLE, WIDTH_IN, legend, log_scale, panels, svg
 from .palette import ALIGNMENT, filter_color
 from .scenery import local_ned, told
@@ -32,6 +33,7 @@ _LABELS = {
     "v_east_mps": "velocity error east, m/s",
     "v_north_mps": "velocity error north, m/s",
 }
+BOUND_NAMES = {STAMPED: "bound, stamps known", DELAY_UNKNOWN: "bound, delay unknown"}
 _MAX_POINTS = 1500
 
 
@@ -39,20 +41,20 @@ def draw_all(
     flight: Flight,
     window: Flight,
     scores: Scores,
-    bound: Array,
+    bounds: Mapping[str, Array],
     delay_mean_s: float,
     with_bands: bool = True,
 ) -> dict[str, str]:
     """All figures as SVG elements by name; ``delay`` is there if a filter estimates one.
 
-    ``bound``, shape (m, 5), as `score.standard_deviations` gives it; ``delay_mean_s`` is that of the fixes;
-    ``with_bands`` shows what independent runs of a consistent filter keep to.
+    ``bounds`` by name, each (m, 5), as `score.standard_deviations` gives them; ``delay_mean_s`` is that of
+    the fixes; ``with_bands`` shows what independent runs of a consistent filter keep to.
     """
     estimating = {name: score for name, score in scores.items() if np.any(score.delay > 0)}
     with mpl.rc_context(STYLE):
         figures = {
-            "attitude": svg(_errors(scores, bound, COLUMNS[:3])),
-            "velocity": svg(_errors(scores, bound, COLUMNS[3:], with_position=True)),
+            "attitude": svg(_errors(scores, bounds, COLUMNS[:3])),
+            "velocity": svg(_errors(scores, bounds, COLUMNS[3:], with_position=True)),
             "consistency": svg(_consistency(scores, with_bands)),
             "flight": svg(_flight(flight, window)),
         }
@@ -74,17 +76,21 @@ def _widths(scores: Scores) -> dict[str, float]:
     return {name: 1.3 + 0.8 * (len(scores) - 1 - i) for i, name in enumerate(scores)}
 
 
-def _errors(scores: Scores, bound: Array, columns: tuple[str, ...], with_position: bool = False) -> Figure:
+def _errors(
+    scores: Scores, bounds: Mapping[str, Array], columns: tuple[str, ...], with_position: bool = False
+) -> Figure:
     figure, axes = panels(1, 3, 3.6)
     for ax, column in zip(axes[0], columns, strict=False):
         i = COLUMNS.index(column)
         for name, score in scores.items():
             _rms_with_spread(ax, name, score.time, np.abs(score.errors[:, :, i]), _widths(scores)[name])
         time = next(iter(scores.values())).time
-        ax.plot(time, bound[:, i], color="black", linestyle="--", linewidth=1, label="bound, stamps known")
+        for (key, bound), style in zip(bounds.items(), ("--", ":"), strict=False):
+            ax.plot(time, bound[:, i], color="black", linestyle=style, linewidth=1, label=BOUND_NAMES[key])
         ax.set(ylabel=_LABELS[column], xlabel=_SINCE_START)
         # Single runs come as near to zero as chance has it.
-        known = bound[np.isfinite(bound[:, i]), i]
+        floor = bounds[STAMPED][:, i]
+        known = floor[np.isfinite(floor)]
         log_scale(ax, bottom=0.2 * float(known.min()) if len(known) else None)
     if with_position:
         ax = axes[0][2]

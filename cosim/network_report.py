@@ -7,7 +7,7 @@ import numpy as np
 
 from ..network.record import FixFate
 from .scenery import told
-from .score import COLUMNS
+from .score import COLUMNS, GROUPS
 
 _DELAY_COLUMNS = ("mean", "sd", "p50", "p95", "p99")
 
@@ -17,31 +17,9 @@ def level(row: Mapping[str, Any]) -> float:
     return _joint(row, ("roll_arcsec", "pitch_arcsec"))
 
 
-def velocity(row: Mapping[str, Any]) -> float:
-    """RMS of the errors of the velocity east and north, m/s; NaN if there is none."""
-    return _joint(row, ("v_east_mps", "v_north_mps"))
-
-
 def _joint(row: Mapping[str, Any], columns: tuple[str, ...]) -> float:
     values = [np.nan if row[column] is None else row[column] for column in columns]
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def alignment_ratios(filters: Mapping[str, Any]) -> dict[str, float | None]:
-    """Errors of ``l2linf`` over those of ``ekf_stamped``: level, heading and velocity.
-
-    ``filters`` as in `summary.json`; None where one of the two is missing or has no error.
-    """
-    if not {"l2linf", "ekf_stamped"} <= filters.keys():
-        return dict.fromkeys(("level", "heading", "velocity"))
-    ours, stamped = filters["l2linf"], filters["ekf_stamped"]
-    heading = [np.nan if row["heading_arcmin"] is None else row["heading_arcmin"] for row in (ours, stamped)]
-    ratios = {
-        "level": level(ours) / level(stamped),
-        "heading": heading[0] / heading[1],
-        "velocity": velocity(ours) / velocity(stamped),
-    }
-    return {name: ratio if np.isfinite(ratio) else None for name, ratio in ratios.items()}
 
 
 def network_tables(network: Mapping[str, Any]) -> dict[str, Any]:
@@ -81,7 +59,8 @@ def _variant(name: str, content: Mapping[str, Any]) -> dict[str, Any]:
     errors = filters.get("l2linf") or dict.fromkeys(COLUMNS)
     return {
         "name": name,
-        "ratios": alignment_ratios(filters),
+        "ratios": content["paired"].get("l2linf/ekf_stamped") or dict.fromkeys(GROUPS),
+        "over_bound": (filters.get("ekf_stamped") or {}).get("over_bound") or dict.fromkeys(GROUPS),
         "errors": [errors[column] for column in COLUMNS],
         "delivered": network and network["fixes_delivered"],
         "delay_ms": network["delay_ms"] if network else {"mean": None, "sd": None},

@@ -3,7 +3,7 @@
 import json
 import math
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib import metadata
@@ -19,6 +19,7 @@ from ..align.consistency import mean_band
 from ..align.estimate import Array, Estimate, FixOutcome
 from ..sins import attitude
 from ..sins.units import DEG, DEG_PER_HOUR, MICRO_G, MILLISECOND
+from .bound import STAMPED
 from .files import whole_file
 from .network_score import NetworkScore
 from .run import Run
@@ -30,10 +31,14 @@ from .score import (
     FilterScore,
     bootstrap_rms_interval,
     errors_against,
+    paired_ratios,
+    rms_over,
     standard_deviations,
 )
 
 _PACKAGES = ("fleetalign", "jsbsim", "numba", "numpy", "pyarrow", "rerun-sdk", "scipy")
+REFERENCE = "ekf_stamped"
+"""The filter that others are compared with, run by run."""
 _RUNS_PER_ROW_GROUP = 50
 
 
@@ -43,17 +48,17 @@ def summarize(
     seed: int,
     flight: Flight,
     scores: dict[str, FilterScore],
-    bound: Array,
+    bounds: Mapping[str, Array],
     network: NetworkScore | None = None,
 ) -> dict[str, Any]:
-    """Content of `summary.json`; ``bound``, shape (m, 5), as `score.standard_deviations` gives it."""
+    """Content of `summary.json`; ``bounds``, each (m, 5), as `score.standard_deviations` gives them."""
     summary: dict[str, Any] = {
         "scenario": name,
         "seed": seed,
         "runs": next(iter(scores.values())).runs,
         "flight": flight.summary,
-        **summarize_runs(scenario, scores, network),
-        "bound": {"stamped": _named(bound[-1])},
+        **summarize_runs(scenario, scores, network, bounds[STAMPED][-1]),
+        "bound": {key: _named(bound[-1]) for key, bound in bounds.items()},
     }
     if scenario.paper:
         summary["paper"] = scenario.paper.model_dump(include={"ekf", "l2linf"})
@@ -61,15 +66,23 @@ def summarize(
 
 
 def summarize_runs(
-    scenario: Scenario, scores: dict[str, FilterScore], network: NetworkScore | None
+    scenario: Scenario, scores: dict[str, FilterScore], network: NetworkScore | None, floor: Array
 ) -> dict[str, Any]:
-    """The blocks ``filters`` and, where there is one, ``network`` of the runs of a scenario or a variant."""
+    """The blocks ``filters``, ``paired`` and, where there is one, ``network`` of the runs of a scenario or a
+    variant; ``floor`` (5,) is the bound with stamps known at the end."""
     independent = scenario.fixes.kind != "replay"
-    filters = {name: _summarize_filter(score, independent) for name, score in scores.items()}
-    return {"filters": filters} | ({} if network is None else {"network": network.summary})
+    filters = {name: _summarize_filter(score, independent, floor) for name, score in scores.items()}
+    others = [name for name in scores if name != REFERENCE and REFERENCE in scores and independent]
+    paired = {
+        f"{name}/{REFERENCE}": _plain_groups(
+            paired_ratios(scores[name].errors[:, -1], scores[REFERENCE].errors[:, -1])
+        )
+        for name in others
+    }
+    return {"filters": filters, "paired": paired} | ({} if network is None else {"network": network.summary})
 
 
-def _summarize_filter(score: FilterScore, independent: bool) -> dict[str, Any]:
+def _summarize_filter(score: FilterScore, independent: bool, floor: Array) -> dict[str, Any]:
     """Runs that are not ``independent``, for they replay the same fixes, have neither interval nor band."""
     surviving = int(np.count_nonzero(np.isfinite(score.errors[:, -1, 0])))
     interval = bootstrap_rms_interval(score.errors[:, -1])
@@ -78,17 +91,24 @@ def _summarize_filter(score: FilterScore, independent: bool) -> dict[str, Any]:
     return {
         **_named(score.rms[-1]),
         "ci95": {column: _plain(pair) for column, pair in pairs} if known else None,
+        "over_bound": _plain_groups(rms_over(score.errors[:, -1], floor)),
         "window": _named(score.window_rms),
         "level_below_60_arcsec_s": score.time_below(slice(0, 2), LEVEL_LIMIT_ARCSEC),
         "heading_below_5_arcmin_s": score.time_below(slice(2, 3), HEADING_LIMIT_ARCMIN),
         "nees": _plain(score.mean_nees[-1]),
         "nees_band95": mean_band(3, max(surviving, 1)) if independent else None,
+        "nees_outside": _plain(score.nees_outside) if independent else None,
         "nis": _plain(score.mean_nis),
         "nis_band95": mean_band(6, max(int(score.fused.sum()), 1)) if independent else None,
         "fixes": {outcome.name.lower(): score.fix_outcomes[outcome] for outcome in FixOutcome},
         "failed_runs": len(score.failures),
         "failures": {str(run_id): reason for run_id, reason in score.failures.items()},
     }
+
+
+def _plain_groups(ratios: Mapping[str, Array]) -> dict[str, Any]:
+    """Ratio, lower and upper end of its 95 % interval, by group."""
+    return {name: _plain(ratio) for name, ratio in ratios.items()}
 
 
 def manifest(name: str, scenario: Scenario, seed: int, runs: int, command: str) -> dict[str, Any]:
@@ -129,8 +149,13 @@ def write_flight(path: Path, flight: Flight) -> None:
     columns |= _columns(("roll_deg", "pitch_deg", "heading_deg"), euler)
     columns |= _columns(("dtheta_x_rad", "dtheta_y_rad", "dtheta_z_rad"), flight.dtheta_b)
     columns |= _columns(("dv_x_mps", "dv_y_mps", "dv_z_mps"), flight.dv_b)
+    write_parquet(path, columns)
+
+
+def write_parquet(path: Path, columns: Mapping[str, Any]) -> None:
+    """Write columns by name, whole or not at all."""
     with whole_file(path) as partial:
-        pq.write_table(pa.table(columns), partial, compression="zstd")
+        pq.write_table(pa.table(dict(columns)), partial, compression="zstd")
 
 
 @contextmanager

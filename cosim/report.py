@@ -12,7 +12,7 @@ from ..aircraft.flight import Flight
 from ..align.estimate import Array, FixOutcome
 from ..network.fleet_network import FleetNetwork
 from ..network.record import NetworkRecord
-from .figures import draw_all
+from .figures import BOUND_NAMES, draw_all
 from .network_figures import draw_network
 from .network_report import level, network_tables, variant_rows
 from .network_score import NetworkScore
@@ -32,7 +32,7 @@ def write_report(
     flight: Flight,
     window: Flight,
     scores: Mapping[str, FilterScore],
-    bound: Array,
+    bounds: Mapping[str, Array],
     summary: dict[str, Any],
     manifest: dict[str, Any],
     network: tuple[NetworkRecord, NetworkScore] | None = None,
@@ -42,7 +42,7 @@ def write_report(
     Parameters
     ----------
     flight : the whole of it. window : the part in which the runs aligned.
-    bound : (m, 5), as `score.standard_deviations` gives it.
+    bounds : by name, each (m, 5), as `score.standard_deviations` gives them.
     summary, manifest : content of `summary.json` and of `manifest.json`.
     network : record of one run and score of all, where the fixes came from a network.
 
@@ -54,7 +54,7 @@ def write_report(
         delay_mean_s = float(np.mean(delays)) if len(delays) else np.nan
     else:
         delay_mean_s = scenario.fixes.delay_mean_s
-    figures = draw_all(flight, window, scores, bound, delay_mean_s, with_bands=not replayed)
+    figures = draw_all(flight, window, scores, bounds, delay_mean_s, with_bands=not replayed)
     if network is not None:
         figures |= draw_network(*network)
     write_page(
@@ -68,7 +68,8 @@ def write_report(
         replayed=replayed,
         least_runs=LEAST_RUNS,
         columns=list(zip(COLUMNS, _HEADINGS, _DIGITS.values(), strict=True)),
-        rows=[_row(name, row, summary["bound"]["stamped"]) for name, row in summary["filters"].items()],
+        rows=[_row(name, row) for name, row in summary["filters"].items()],
+        bounds=[(BOUND_NAMES[key], row) for key, row in summary["bound"].items()],
         comparison=_comparison(summary),
         outcomes=outcome_table({name: score.fix_outcomes for name, score in scores.items()}),
         network=network_tables(summary["network"]) if network is not None else None,
@@ -116,7 +117,7 @@ def _lower_ends(row: Mapping[str, Any]) -> dict[str, float | None]:
     return {column: row["ci95"][column][0] if row["ci95"] else None for column in COLUMNS}
 
 
-def _row(name: str, row: dict[str, Any], floor: dict[str, Any]) -> dict[str, Any]:
+def _row(name: str, row: dict[str, Any]) -> dict[str, Any]:
     """A filter's line of the headline table, and of the table over the last half."""
 
     def judged(kind: str) -> dict[str, Any]:
@@ -130,9 +131,9 @@ def _row(name: str, row: dict[str, Any], floor: dict[str, Any]) -> dict[str, Any
         "name": name,
         "color": filter_color(name),
         "values": [(column, row[column], intervals[column], _DIGITS[column]) for column in COLUMNS],
-        "level_ratio": level(row) / level(floor),
-        "heading_ratio": _ratio(row["heading_arcmin"], floor["heading_arcmin"]),
+        "over_bound": row["over_bound"],
         "nees": judged("nees"),
+        "nees_outside": row["nees_outside"],
         "nis": judged("nis"),
         "failed": row["failed_runs"],
         "level_s": row["level_below_60_arcsec_s"],

@@ -4,17 +4,16 @@ import os
 import subprocess
 import sys
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 
 import numpy as np
 
 from ..aircraft.flight import Flight
-from ..align.bound import stamped_bound
 from ..align.estimate import Array, Estimate
 from ..align.filters import FilterSettings
 from ..align.methods import METHODS, estimate
@@ -31,22 +30,6 @@ from .antenna import at_antenna
 from .scenario import CoarseAttitude, Scenario, ScenarioError
 
 Progress = Callable[[float, float], None]
-
-BOUND_DRAWS = 50
-"""Runs over whose fixes the bound is averaged."""
-UNMODELLED = (
-    "gyro_scale_factor_ppm",
-    "accel_scale_factor_ppm",
-    "gyro_misalignment_arcsec",
-    "accel_misalignment_arcsec",
-    "gyro_g_sensitivity_deg_h_g",
-    "gyro_quantum_arcsec",
-    "accel_quantum_mps",
-)
-"""Errors of the IMU that the filters have no state and no noise for."""
-
-LASTING = ("range_bias_sd_m", "biased_nodes", "nlos_share", "altitude_bias_sd_m")
-"""Settings of the radio whose errors are the same from one fix to the next."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +73,7 @@ def simulate(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> Run:
     imu = simulate_imu(
         window.time, window.dtheta_b, window.dv_b, scenario.imu, generator(seed, run_id, "imu")
     )
-    fixes, network = fixes_of(scenario, at_antenna(flight, _arm(scenario, run_id, seed)), run_id, seed)
+    fixes, network = fixes_of(scenario, flight, run_id, seed)
     rng = generator(seed, run_id, "coarse attitude")
     q_nb_coarse = coarse_attitude(window.q_nb[0], scenario.alignment.coarse, rng)
     estimates = {
@@ -113,8 +96,9 @@ def simulate(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> Run:
 def fixes_of(
     scenario: Scenario, flight: Flight, run_id: int, seed: int
 ) -> tuple[Fixes, NetworkRecord | None]:
-    """The fixes of one run, and the record of the network where they come from one; ``flight`` is the
-    antenna's."""
+    """The fixes of one run, which are of its antenna, and the record of the network where they come from
+    one."""
+    flight = at_antenna(flight, true_lever_arm(scenario, run_id, seed))
     window = alignment_window(scenario, flight)
     start_s, end_s = window.time[0], window.time[-1]
     if not isinstance(scenario.fixes, FleetNetwork):
@@ -123,7 +107,7 @@ def fixes_of(
     return fly_network(path, start_s, end_s, scenario.fixes, partial(generator, seed, run_id))
 
 
-def _arm(scenario: Scenario, run_id: int, seed: int) -> Array:
+def true_lever_arm(scenario: Scenario, run_id: int, seed: int) -> Array:
     """The true lever arm of one run: the surveyed one and what the survey erred."""
     settings = scenario.alignment.settings
     rng = generator(seed, run_id, "lever arm")
@@ -205,61 +189,3 @@ class _Rest:
     def at(self, t: Array, /) -> tuple[Array, Array, Array]:
         nothing = np.zeros((len(t), 3))
         return nothing, nothing, np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1))
-
-
-def bound_of(scenario: Scenario, window: Flight, fixes: Sequence[Fixes]) -> Estimate:
-    """Posterior Cramer-Rao bound with stamps known, for the fixes of some runs.
-
-    The covariance is the mean over the runs, which differ where packets are lost or come from a network.
-    There, errors of fixes count as independent; those of the anchors, which fixes share, can only raise the
-    true bound. Where `no_bound_because` has a reason, everything but the time is NaN.
-    """
-    alike = scenario.fixes.kind == "simulated" and getattr(scenario.fixes, "loss_probability", 0.0) == 0
-    bounds = [_bound_of_run(scenario, window, of_run) for of_run in (fixes[:1] if alike else fixes)]
-    known = np.nan if no_bound_because(scenario) else 1.0
-    return replace(
-        bounds[0],
-        lla=known * bounds[0].lla,
-        sd=known * np.sqrt(np.mean([bound.sd**2 for bound in bounds], axis=0)),
-        misalignment_cov=known * np.mean([bound.misalignment_cov for bound in bounds], axis=0),
-    )
-
-
-def no_bound_because(scenario: Scenario) -> str | None:
-    """Why the filter's covariance along the truth is no bound for this scenario, or None if it is one."""
-    imu = scenario.imu
-    if scenario.fixes.kind == "replay":
-        return "the fixes are a recording, one draw of its noise"
-    if isinstance(scenario.fixes, FleetNetwork):
-        lasting = [name for name in LASTING if getattr(scenario.fixes.radio, name)]
-        if lasting:
-            return f"{', '.join(lasting)}: errors of the fixes last, and the filter takes them for white"
-    if imu.bias_draw != "gaussian":
-        return "the biases are not Gaussian"
-    for sensor, instability in (
-        ("gyro", imu.gyro_bias_instability_deg_h),
-        ("accel", imu.accel_bias_instability_ug),
-    ):
-        if (
-            instability > 0
-            and getattr(imu, f"{sensor}_bias_correlation_s") < 10 * scenario.alignment.duration_s
-        ):
-            return f"the filter takes the {sensor} bias for a random walk, which it is not over this time"
-    unmodelled = [name for name in UNMODELLED if getattr(imu, name) > 0]
-    return f"the filter has no model of {', '.join(unmodelled)}" if unmodelled else None
-
-
-def _bound_of_run(scenario: Scenario, window: Flight, fixes: Fixes) -> Estimate:
-    antenna = at_antenna(window, scenario.alignment.settings.lever_arm_b_m)
-    lla, v_n, _ = antenna.at(fixes.t_valid)
-    return stamped_bound(
-        window.time,
-        window.dtheta_b,
-        window.dv_b,
-        window.q_nb[0],
-        fixes,
-        (lla, v_n),
-        scenario.alignment.settings,
-        scenario.imu,
-        window.gravity,
-    )

@@ -46,18 +46,12 @@ def run(
 ) -> None:
     """Fly a scenario, align on it many times, and write summary, estimates, recording and report."""
     from ..aircraft.cache import is_cached
+    from .bound import BOUND_DRAWS, STAMPED, bounds_of, no_bound_because
     from .network_score import NetworkScorer
     from .outputs import estimates_writer, manifest, summarize, write_json
     from .recording import write_recording
     from .report import write_report
-    from .run import (
-        BOUND_DRAWS,
-        alignment_window,
-        bound_of,
-        compiling_ahead,
-        no_bound_because,
-        simulate_all,
-    )
+    from .run import alignment_window, compiling_ahead, simulate_all
     from .scenario import ScenarioError
     from .score import Scorer, standard_deviations
     from .variants import run_variants
@@ -96,8 +90,10 @@ def run(
                 error_console.print(f"stopped after {done} of {settings.runs} runs; these are kept")
                 break
     assert first is not None
-    bound = bound_of(settings, window, fixes)
-    bound_sd = standard_deviations(window, bound, settings.imu.vibration_mps)
+    bounds = bounds_of(settings, window, fixes)
+    bound_sd = {
+        key: standard_deviations(window, bound, settings.imu.vibration_mps) for key, bound in bounds.items()
+    }
     scores = scorer.scores()
     network_score = network.score() if network.runs else None
     summary = summarize(name, settings, settings.seed, flight, scores, bound_sd, network_score)
@@ -115,7 +111,7 @@ def run(
             flight,
             window,
             first,
-            bound,
+            bounds[STAMPED],
             settings.imu.vibration_mps,
         )
         progress(1, 2)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..aircraft.flight import Flight
-from ..align.consistency import nees
+from ..align.consistency import mean_band, nees
 from ..align.estimate import Array, Estimate, FixOutcome, RunOutcome
 from ..sins import attitude, earth
 from ..sins.units import ARCMIN, ARCSEC
@@ -16,6 +16,9 @@ from .run import Run
 COLUMNS = ("roll_arcsec", "pitch_arcsec", "heading_arcmin", "v_east_mps", "v_north_mps")
 """The five figures of Gao et al., Table 3, with their units."""
 _PER_UNIT = np.array([1 / ARCSEC, 1 / ARCSEC, 1 / ARCMIN, 1.0, 1.0])
+
+GROUPS = {"level": slice(0, 2), "heading": slice(2, 3), "velocity": slice(3, 5)}
+"""Columns that are judged together: the RMS of a group is that of all its components."""
 
 LEVEL_LIMIT_ARCSEC = 60.0
 HEADING_LIMIT_ARCMIN = 5.0
@@ -103,6 +106,17 @@ class FilterScore:
         with np.errstate(invalid="ignore"):
             count = np.sum(np.isfinite(self.nees), axis=0)
             return np.where(count > 0, np.nansum(self.nees, axis=0) / np.maximum(count, 1), np.nan)
+
+    @property
+    def nees_outside(self) -> float:
+        """Share of the time in which the mean NEES lies outside the 95 % band of a consistent filter."""
+        count = np.sum(np.isfinite(self.nees), axis=0)
+        known = count > 0
+        if not known.any():
+            return np.nan
+        bands = np.array([mean_band(3, int(runs)) for runs in count[known]])
+        mean = self.mean_nees[known]
+        return float(np.mean((mean < bands[:, 0]) | (mean > bands[:, 1])))
 
     def time_below(self, columns: slice, limit: float) -> float | None:
         """Time, s from the start, after which the greatest RMS of these columns stays below a limit."""
@@ -192,7 +206,7 @@ def _rms(x: Array, axis: int | tuple[int, ...]) -> Array:
     return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
 
 
-def bootstrap_rms_interval(errors: Array, probability: float = 0.95, resamples: int = 2000) -> Array:
+def bootstrap_rms_interval(errors: Array, probability: float = 0.95) -> Array:
     """Confidence interval, shape (2, c), of the RMS over runs of errors (runs, c); NaN for few runs.
 
     Percentiles over resampled runs (Efron, Tibshirani, "An Introduction to the Bootstrap", chapter 13): the
@@ -200,9 +214,51 @@ def bootstrap_rms_interval(errors: Array, probability: float = 0.95, resamples: 
     too little of their own spread. The same errors give the same interval.
     """
     squares = errors[np.isfinite(errors).all(axis=1)] ** 2
-    n = len(squares)
-    if n < LEAST_RUNS:
+    if len(squares) < LEAST_RUNS:
         return np.full((2, errors.shape[1]), np.nan)
+    return np.sqrt(np.quantile(_resampled_means(squares), _tails(probability), axis=0))
+
+
+def rms_over(errors: Array, floor: Array, probability: float = 0.95) -> dict[str, Array]:
+    """RMS over runs against a bound, by `GROUPS`: ratio and its confidence interval, shape (3,).
+
+    ``errors`` (runs, 5), ``floor`` (5,), both in the units of `COLUMNS`. NaN where there is no bound, and for
+    intervals of few runs.
+    """
+    squares = _group_squares(errors[np.isfinite(errors).all(axis=1)])
+    floors = _group_squares(floor[None])[0]
+    return _ratios(squares, np.tile(floors, (len(squares), 1)), probability)
+
+
+def paired_ratios(errors: Array, reference: Array, probability: float = 0.95) -> dict[str, Array]:
+    """RMS of one filter over that of another on the same runs, by `GROUPS`: ratio and interval, shape (3,).
+
+    Both are resampled by the same runs, so that what runs have in common cancels. ``errors`` and
+    ``reference`` (runs, 5); runs in which one of the two has a NaN are left out.
+    """
+    both = np.isfinite(errors).all(axis=1) & np.isfinite(reference).all(axis=1)
+    return _ratios(_group_squares(errors[both]), _group_squares(reference[both]), probability)
+
+
+def _group_squares(errors: Array) -> Array:
+    """(runs, 3)."""
+    return np.stack([np.mean(errors[:, columns] ** 2, axis=1) for columns in GROUPS.values()], axis=1)
+
+
+def _ratios(above: Array, below: Array, probability: float) -> dict[str, Array]:
+    ratio, interval = np.full(len(GROUPS), np.nan), np.full((2, len(GROUPS)), np.nan)
+    if len(above):
+        ratio = np.sqrt(above.mean(axis=0) / below.mean(axis=0))
+    if len(above) >= LEAST_RUNS:
+        means = _resampled_means(np.hstack([above, below]))
+        ratios = np.sqrt(means[:, : len(GROUPS)] / means[:, len(GROUPS) :])
+        interval = np.quantile(ratios, _tails(probability), axis=0)
+    return {name: np.array([ratio[i], *interval[:, i]]) for i, name in enumerate(GROUPS)}
+
+
+def _resampled_means(values: Array, resamples: int = 2000) -> Array:
+    """Means over resampled runs, (resamples, c), of values (runs, c); the same values give the same means."""
+    n = len(values)
     rng = np.random.default_rng(0)
     block = max(1, 1_000_000 // n)
     means = []
@@ -210,6 +266,10 @@ def bootstrap_rms_interval(errors: Array, probability: float = 0.95, resamples: 
         rows = min(block, resamples - start)
         drawn = rng.integers(n, size=(rows, n)) + n * np.arange(rows)[:, None]
         times_drawn = np.bincount(drawn.ravel(), minlength=rows * n).reshape(rows, n)
-        means.append(times_drawn @ squares / n)
+        means.append(times_drawn @ values / n)
+    return np.concatenate(means)
+
+
+def _tails(probability: float) -> list[float]:
     tail = (1 - probability) / 2
-    return np.sqrt(np.quantile(np.concatenate(means), [tail, 1 - tail], axis=0))
+    return [tail, 1 - tail]

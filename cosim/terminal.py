@@ -67,7 +67,8 @@ def results_table(settings: "Scenario", summary: dict[str, Any]) -> Table:
     for name, row in summary["filters"].items():
         consistency = [_number(row["nees"], 2), _number(row["nis"], 2), str(row["failed_runs"])]
         table.add_row(name, *_five(row), *consistency)
-    table.add_row("bound, stamped", *_five(summary["bound"]["stamped"]), style="dim")
+    for key, bound in summary["bound"].items():
+        table.add_row(f"bound, {key.replace('_', ' ')}", *_five(bound), style="dim")
     if settings.paper:
         for name in ("ekf", "l2linf"):
             # As printed there: rounded, 30.15 would become 30.1.

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from fleetalign.align.consistency import chi_square_quantile, mean_band, nees
-from fleetalign.cosim.run import bound_of, fixes_of, no_bound_because, simulate
+from fleetalign.cosim.bound import bound_of, no_bound_because
+from fleetalign.cosim.run import fixes_of, simulate
 from fleetalign.cosim.scenario import replaced
 from fleetalign.sins import attitude
 from scipy.stats import chi2

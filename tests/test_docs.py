@@ -12,8 +12,9 @@ import pytest
 from fleetalign.aircraft.airframe import airframe_names
 from fleetalign.align.filters import FILTERS
 from fleetalign.cosim import cli, outputs, score
+from fleetalign.cosim.bound import bounds_of
 from fleetalign.cosim.network_score import NetworkScorer
-from fleetalign.cosim.run import bound_of, simulate
+from fleetalign.cosim.run import simulate
 from fleetalign.cosim.scenario import UNITS, load_scenario, replaced
 from fleetalign.cosim.variants import run_variants
 from fleetalign.sins import attitude, earth, error_model
@@ -131,16 +132,18 @@ def test_summary_has_the_keys_that_the_readme_names(gao2009, flight, window):
     run = simulate(scenario, flight, 0, seed=7)
     scorer.add(run)
     network.add(run.network)
-    bound = bound_of(scenario, window, [run.fixes])
-    bound_sd = score.standard_deviations(window, bound, scenario.imu.vibration_mps)
-    summary = outputs.summarize("x", scenario, 7, flight, scorer.scores(), bound_sd, network.score())
+    bounds = {
+        name: score.standard_deviations(window, bound, scenario.imu.vibration_mps)
+        for name, bound in bounds_of(scenario, window, [run.fixes]).items()
+    }
+    summary = outputs.summarize("x", scenario, 7, flight, scorer.scores(), bounds, network.score())
     summary["variants"] = run_variants(scenario, flight)
     told = set(re.findall(r"`(\w+)`", README.split("`summary.json` has")[1].split("\n## ")[0]))
     one = next(iter(summary["filters"].values()))
     keys = {*summary} - {"bound", "paper"} | set(summary["flight"]) | set(one) | {"ci95"}
-    assert told == keys | set(summary["network"]) | {"ratios"}
-    assert set(summary["variants"]["other"]) == {"filters", "network", "ratios"}
-    assert set(summary["bound"]) == {"stamped"}
+    assert told == keys | set(summary["network"])
+    assert set(summary["variants"]["other"]) == {"filters", "network", "paired"}
+    assert set(summary["bound"]) == {"stamped", "delay_unknown"}
     assert set(summary["paper"]) == {"ekf", "l2linf"}
     json.dumps(summary, allow_nan=False)
 

@@ -68,7 +68,8 @@ def test_compiled_update_is_the_readable_one(estimated, n):
     moving, innovation, _, buffers = _alignment_kernel.steps_memory(n)
     _kernels.kinematics(X, time, increments, 10, 10, 0, *moving)
     _, f_n, w_b, arms, u = moving
-    f_b, w_ib_b = increments[1:, 3:].sum(axis=0) / 0.1 - X[10:13], increments[1:, :3].sum(axis=0) / 0.1
+    f_b = increments[1:, 3:].sum(axis=0) / 0.1 - X[10:13]
+    w_ib_b = (1.5 * increments[10, :3] - 0.5 * increments[9, :3]) / 0.01
     motion = measurement.kinematics(state, f_b, w_ib_b - X[13:16], arm, GravityModel.J2)
     np.testing.assert_allclose(u, motion.u, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(f_n, motion.f_n, rtol=1e-12, atol=1e-12)

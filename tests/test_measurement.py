@@ -49,10 +49,11 @@ def test_measurement_matrix_is_the_derivative_of_the_innovation(age, arm):
         ],
         axis=1,
     )
-    # Neglected: the change of the Coriolis acceleration and of the metres per radian; that the rate of n, some
-    # 1e-4 rad/s, is told in computed axes; and that what the arm does is late as well.
+    # Neglected: the change of the Coriolis acceleration and of the metres per radian; that the rate of n,
+    # some 1e-4 rad/s, is told in computed axes; and that what the arm does is late as well.
     columns = slice(None) if age == 0 else slice(measurement.N_STATES)
-    np.testing.assert_allclose(numeric[:, columns], H[:, columns], atol=1e-4 * (1 + 10 * age + np.abs(arm).max()))
+    atol = 1e-4 * (1 + 10 * age + np.abs(arm).max())
+    np.testing.assert_allclose(numeric[:, columns], H[:, columns], atol=atol)
     if age:
         assert np.abs(H[3:, MISALIGN]).max() > 5 * age
         assert np.abs(H[3:, ACCEL]).max() > 0.5 * age
@@ -66,7 +67,8 @@ def test_noise_covariance_is_that_of_sampled_delays_and_vibration():
     delay_sd, vibration, n = 0.0144, 0.05, 200_000
     R = measurement.measure(STATE, *FIX, COV, vibration**2, 0.025, delay_sd, True, motion_now()).R
     rng = np.random.default_rng(9)
-    samples = rng.normal(size=(n, 6)) * np.sqrt(np.diag(COV)) + np.outer(rng.normal(0, delay_sd, n), motion_now().u)
+    late = np.outer(rng.normal(0, delay_sd, n), motion_now().u)
+    samples = rng.normal(size=(n, 6)) * np.sqrt(np.diag(COV)) + late
     samples[:, 3:] += rng.normal(0, vibration, (n, 3))
     scale = np.sqrt(np.diag(R))
     deviation = (np.cov(samples.T) - R) / np.outer(scale, scale)

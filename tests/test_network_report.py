@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from fleetalign.align.consistency import mean_band
 from fleetalign.cosim.network_figures import draw_network
-from fleetalign.cosim.network_report import alignment_ratios, network_tables, variant_rows
+from fleetalign.cosim.network_report import network_tables, variant_rows
 from fleetalign.cosim.network_scenery import fleet_ned
 from fleetalign.cosim.network_score import NetworkScorer, delay_figures, network_summary
 from fleetalign.cosim.pages import write_page
-from fleetalign.cosim.score import COLUMNS
+from fleetalign.cosim.score import COLUMNS, GROUPS
 from fleetalign.network.localization.problem import NodeOutcome
 from fleetalign.network.record import FixFate
 from fleetalign.sins.units import DEG
@@ -143,32 +143,29 @@ def test_the_fleet_is_drawn_about_its_centre(records):
     assert 1e3 < apart < 40e3
 
 
-def filters(level: float, failed: int = 0) -> dict:
-    stamped = dict.fromkeys(COLUMNS, 10.0) | {"failed_runs": 0}
+def content_of(level: float, failed: int = 0) -> dict:
+    at_bound = {name: [1.0, 0.9, 1.1] for name in GROUPS}
+    stamped = dict.fromkeys(COLUMNS, 10.0) | {"failed_runs": 0, "over_bound": at_bound}
     ours = stamped | {"roll_arcsec": 10 * level, "pitch_arcsec": 10 * level, "failed_runs": failed}
-    return {"ekf_stamped": stamped, "l2linf": ours}
-
-
-def test_ratios_of_the_filters():
-    assert alignment_ratios(filters(1.5)) == pytest.approx({"level": 1.5, "heading": 1.0, "velocity": 1.0})
-    assert set(alignment_ratios({"ekf": {}}).values()) == {None}
-    lost = filters(1.5)
-    lost["l2linf"]["heading_arcmin"] = None
-    assert alignment_ratios(lost)["heading"] is None
+    paired = at_bound | {"level": [level, level - 0.1, level + 0.1]}
+    return {
+        "filters": {"ekf_stamped": stamped, "l2linf": ours},
+        "paired": {"l2linf/ekf_stamped": paired},
+    }
 
 
 def test_variants_make_one_table(tmp_path, summary):
     content = {
-        "filters": filters(1.0),
+        **content_of(1.0),
         "network": summary,
         "variants": {
-            "LEACH": {"filters": filters(1.25, failed=2), "network": summary},
-            "no network": {"filters": filters(1.1)},
+            "LEACH": content_of(1.25, failed=2) | {"network": summary},
+            "no network": content_of(1.1),
         },
     }
     rows = variant_rows(content)
     assert [row["name"] for row in rows] == ["as stated", "LEACH", "no network"]
-    assert rows[1]["ratios"]["level"] == pytest.approx(1.25)
+    assert rows[1]["ratios"]["level"][0] == pytest.approx(1.25)
     write_page(
         tmp_path / "page.html",
         "network.html.j2",
@@ -179,11 +176,14 @@ def test_variants_make_one_table(tmp_path, summary):
     )
     html = (tmp_path / "page.html").read_text("utf-8")
     leach = re.findall(r"<td[^>]*>(.*?)</td>", html[html.index("<td>LEACH") :].split("</tr>")[0])
-    assert leach[:2] == ["LEACH", "1.25"]
-    assert leach[4] == "12.5"
+    assert leach[0] == "LEACH"
+    assert leach[1].startswith("1.00<")
+    assert leach[4].startswith("1.25<")
+    assert "1.15 to 1.35" in leach[4]
+    assert leach[7] == "12.5"
     assert leach[-3] == "97.0 %"
     assert leach[-1] == "2"
-    assert variant_rows({"filters": filters(1.0)}) == []
+    assert variant_rows(content_of(1.0)) == []
 
 
 def test_the_page_tells_the_four_indicators(tmp_path, records, summary):

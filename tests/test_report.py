@@ -10,6 +10,7 @@ import pytest
 from fleetalign.aircraft.flight import Flight, Phase
 from fleetalign.align.consistency import mean_band
 from fleetalign.align.estimate import FixOutcome
+from fleetalign.cosim.bound import BOUNDS
 from fleetalign.cosim.outputs import manifest, summarize
 from fleetalign.cosim.palette import filter_color
 from fleetalign.cosim.report import to_toml, write_report
@@ -57,10 +58,10 @@ def a_score(
 def write(path, scenario: Scenario, scores: dict[str, FilterScore], floor=SD) -> tuple[str, dict]:
     """The text of a report, and the summary that it was made of."""
     flight = a_flight()
-    bound = np.tile(floor, (400, 1))
-    summary = summarize("a_name", scenario, 7, flight, scores, bound)
+    bounds = {name: np.tile(floor, (400, 1)) for name in BOUNDS}
+    summary = summarize("a_name", scenario, 7, flight, scores, bounds)
     about = manifest("a_name", scenario, 7, RUNS, "fleetalign run a_name --seed 7 --out 'a & b'")
-    write_report(path, scenario, flight, flight.window(20, 60), scores, bound, summary, about)
+    write_report(path, scenario, flight, flight.window(20, 60), scores, bounds, summary, about)
     return path.read_text("utf-8"), summary
 
 
@@ -82,7 +83,7 @@ def table_after(html: str, mark: str) -> list[list[str]]:
 
 def test_headline_table_shows_the_summary(report):
     html, summary = report
-    head, ekf, l2linf, bound = table_after(html, 'class="lead"')
+    head, ekf, l2linf, bound, unknown = table_after(html, 'class="lead"')
     assert head[1:4] == ["Roll, arcsec", "Pitch, arcsec", "Heading, arcmin"]
     for cells, name in ((ekf, "ekf"), (l2linf, "l2linf")):
         row = summary["filters"][name]
@@ -90,11 +91,14 @@ def test_headline_table_shows_the_summary(report):
         assert cells[:2] == [name, f"{row['roll_arcsec']:.1f} {low:.1f} to {high:.1f}"]
         assert cells[5].startswith(f"{row['v_north_mps']:.3f} ")
     assert bound[:6] == ["bound, stamps known", "20.0", "20.0", "1.30", "0.015", "0.014"]
-    np.testing.assert_allclose(float(ekf[6]), 2.0, atol=0.4)
+    assert unknown[0] == "bound, delay unknown"
+    ratio, low, _, high = ekf[6].split()
+    np.testing.assert_allclose(float(ratio), 2.0, atol=0.4)
+    assert float(low) < float(ratio) < float(high)
     low, high = mean_band(3, RUNS)
-    assert ekf[8] == f"{summary['filters']['ekf']['nees']:.2f} &#x2715; {low:.2f} to {high:.2f}"
-    assert "&#x2715;" not in l2linf[8] + l2linf[9]
-    assert [ekf[10], l2linf[10]] == ["2", "0"]
+    assert ekf[9] == f"{summary['filters']['ekf']['nees']:.2f} &#x2715; {low:.2f} to {high:.2f}"
+    assert "&#x2715;" not in l2linf[9] + l2linf[10]
+    assert [ekf[11], l2linf[11]] == ["2", "0"]
     assert filter_color("ekf") in html
 
 
@@ -191,7 +195,7 @@ def test_replayed_fixes_have_neither_intervals_nor_bands(tmp_path, stated, windo
     assert (row["ci95"], row["nees_band95"], row["nis_band95"]) == (None, None, None)
     cells = table_after(html, 'class="lead"')[1]
     assert cells[1] == f"{row['roll_arcsec']:.1f}"
-    assert cells[8:10] == [f"{row['nees']:.2f}", f"{row['nis']:.2f}"]
+    assert cells[9:11] == [f"{row['nees']:.2f}", f"{row['nis']:.2f}"]
     assert "reaches the bound" not in html
     assert "band if consistent" not in html
     assert "Small print: the fixes are replayed" in html

@@ -12,7 +12,8 @@ import pytest
 from fleetalign.align.consistency import mean_band, nees
 from fleetalign.align.estimate import RunOutcome
 from fleetalign.align.filters import DelayModel, align
-from fleetalign.cosim.run import alignment_window, bound_of, fixes_of, generator, simulate, simulate_all
+from fleetalign.cosim.bound import bound_of
+from fleetalign.cosim.run import alignment_window, fixes_of, generator, simulate, simulate_all
 from fleetalign.cosim.scenario import ScenarioError, replaced
 from fleetalign.cosim.score import COLUMNS, Scorer, standard_deviations
 from fleetalign.sins import attitude

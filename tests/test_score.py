@@ -5,7 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fleetalign.align.estimate import FixOutcome
-from fleetalign.cosim.score import LEAST_RUNS, FilterScore, bootstrap_rms_interval
+from fleetalign.cosim.score import (
+    LEAST_RUNS,
+    FilterScore,
+    bootstrap_rms_interval,
+    paired_ratios,
+    rms_over,
+)
 
 NAN = np.nan
 COVERAGE_RUNS = 2000
@@ -100,3 +106,42 @@ def test_interval_is_repeatable_and_leaves_out_lost_runs():
     np.testing.assert_array_equal(bootstrap_rms_interval(lost), bootstrap_rms_interval(errors))
     assert np.isnan(bootstrap_rms_interval(errors[: LEAST_RUNS - 1])).all()
     assert np.isfinite(bootstrap_rms_interval(errors[:LEAST_RUNS])).all()
+
+
+def test_ratio_to_a_bound_covers_one_for_an_estimator_on_it():
+    rng = np.random.default_rng(5)
+    floor = np.array([20.0, 30.0, 1.3, 0.01, 0.02])
+    covered = []
+    for _ in range(200):
+        ratios = rms_over(floor * rng.normal(size=(100, 5)), floor)
+        covered.append([ratio[1] < 1 < ratio[2] for ratio in ratios.values()])
+    # 95 %, less a little at 100 runs, +- 3 standard deviations of a share of 200.
+    assert (np.abs(np.mean(covered, axis=0) - 0.94) < 3 * np.sqrt(0.94 * 0.06 / 200)).all()
+    worse = rms_over(2 * floor * rng.normal(size=(1000, 5)), floor)
+    assert [ratio[0] for ratio in worse.values()] == pytest.approx([2.0] * 3, rel=0.08)
+
+
+def test_paired_ratio_is_sharper_than_its_parts():
+    """What both filters have in common cancels: the interval is that of the difference."""
+    rng = np.random.default_rng(6)
+    common = rng.normal(size=(100, 5))
+    errors, reference = 1.1 * common + 0.05 * rng.normal(size=(100, 5)), common
+    for ratio, low, high in paired_ratios(errors, reference).values():
+        assert low < 1.1 < high
+        assert high - low < 0.04 < 0.2 < np.ptp(bootstrap_rms_interval(common[:, :1]))
+        assert low < ratio < high
+    lost = np.vstack([errors, np.full((1, 5), NAN)]), np.vstack([reference, 1e9 * np.ones((1, 5))])
+    assert paired_ratios(*lost)["level"][0] == paired_ratios(errors, reference)["level"][0]
+    few = paired_ratios(errors[:5], reference[:5])["heading"]
+    assert np.isfinite(few[0])
+    assert np.isnan(few[1:]).all()
+
+
+def test_share_of_time_outside_the_band_sees_a_covariance_that_is_wrong():
+    rng = np.random.default_rng(7)
+    nees = rng.chisquare(3, (100, 400))
+    consistent = a_score(np.zeros((100, 400)), nees=nees)
+    # 5 % of 400 independent times, +- 3 standard deviations.
+    assert abs(consistent.nees_outside - 0.05) < 3 * np.sqrt(0.05 * 0.95 / 400)
+    assert a_score(np.zeros((100, 400)), nees=2 * nees).nees_outside > 0.99
+    assert np.isnan(a_score(np.zeros((3, 4)), nees=np.full((3, 4), NAN)).nees_outside)
