@@ -14,7 +14,7 @@ from .terminal import out_console
 if TYPE_CHECKING:
     from ..align.lmi.design import Design
 
-KINDS = ("l2linf", "hinf", "h2", "theorem2")
+KINDS = ("l2linf", "hinf", "h2", "theorem2", "feedback")
 ROWS = {
     "mean-square spectral radius": "spectral_radius",
     "peak gain, disturbance fixed": "peak_deterministic",
@@ -33,7 +33,7 @@ def lmi(
     plant: Annotated[str, typer.Argument(help="A bundled plant or a TOML file.")] = "two_state",
     kind: Annotated[
         str | None,
-        typer.Option(help="l2linf, hinf, h2 or theorem2; by default l2linf, theorem2 for several vertices."),
+        typer.Option(help="l2linf, hinf, h2, theorem2 or feedback; by default what the file says."),
     ] = None,
     order: Annotated[
         int | None, typer.Option(help="Number of the filter's states, with theorem2; all by default.")
@@ -47,8 +47,9 @@ def lmi(
 
     if kind is not None and kind not in KINDS:
         raise InputError(f"--kind {kind}: allowed are {', '.join(KINDS)}")
-    title, vertices = load_plant(plant)
-    wanted = Kind(kind or ("theorem2" if len(vertices) > 1 or order is not None else "l2linf"))
+    title, suggested, vertices = load_plant(plant)
+    suggested = "theorem2" if len(vertices) > 1 or order is not None else suggested
+    wanted = Kind(kind or suggested)
     try:
         found = design(vertices, wanted, order)
     except (DesignError, ValueError) as error:
@@ -68,7 +69,9 @@ def _show(title: str, found: "Design") -> None:
         name = f"vertex {number}" if number < len(found.analyses) else "centre"
         table.add_column(name if several else "", justify="right")
     for told, field in ROWS.items():
-        table.add_row(Text(told), *[f"{getattr(each, field):.6g}" for each in found.analyses])
+        values = [getattr(each, field) for each in found.analyses]
+        if None not in values:
+            table.add_row(Text(told), *[f"{value:.6g}" for value in values])
     out_console.print(table)
     for name, matrix in vars(found.filter).items():
         rows = ["  ".join(f"{value:12.5g}" for value in row) for row in matrix]

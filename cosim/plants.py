@@ -9,7 +9,9 @@ from ..align.lmi.plant import MATRICES, Plant, checked_polytope
 from .command_line import InputError
 
 PLANT_FOLDER = resources.files("fleetalign.scenarios.plants")
-PLANT_KEYS = {"title", "rho", "vertex", *MATRICES}
+PLANT_KEYS = {"title", "kind", "rho", "vertex", *MATRICES}
+PLANT_KINDS = "l2linf", "feedback"
+"""Designs that a file can ask for: of a filter beside the plant, or of a gain that corrects its state."""
 
 
 def plant_names() -> list[str]:
@@ -17,11 +19,12 @@ def plant_names() -> list[str]:
     return sorted(f.name.removesuffix(".toml") for f in PLANT_FOLDER.iterdir() if f.name.endswith(".toml"))
 
 
-def load_plant(name_or_path: str) -> tuple[str, tuple[Plant, ...]]:
-    """Title and vertices of a bundled plant or of a TOML file.
+def load_plant(name_or_path: str) -> tuple[str, str, tuple[Plant, ...]]:
+    """Title, kind of design and vertices of a bundled plant or of a TOML file.
 
-    The file holds ``title``, ``rho`` (1 by default) and the matrices A, B, C, D, H as lists of rows; or, for
-    a polytope, a table ``[[vertex]]`` with the five for each vertex. Raises `InputError`: file, field, value,
+    The file holds ``title``, ``kind`` (l2linf by default, or feedback), ``rho`` (1 by default) and the
+    matrices A, B, C, D, H as lists of rows; or, for a polytope, a table ``[[vertex]]`` with the five for
+    each. Raises `InputError`: file, field, value,
     what is allowed.
     """
     try:
@@ -41,7 +44,10 @@ def load_plant(name_or_path: str) -> tuple[str, tuple[Plant, ...]]:
         title = content.get("title", Path(name_or_path).stem)
         if not isinstance(title, str):
             raise ValueError(f"title = {title!r}: must be text")
-        return title, _vertices(content)
+        kind = content.get("kind", PLANT_KINDS[0])
+        if kind not in PLANT_KINDS:
+            raise ValueError(f"kind = {kind!r}: allowed are {', '.join(PLANT_KINDS)}")
+        return title, kind, _vertices(content)
     except ValueError as error:
         raise InputError(f"{name_or_path}: {error}") from error
 

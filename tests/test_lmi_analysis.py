@@ -134,7 +134,8 @@ def test_simulation_agrees_and_tells_another_plant(plant, filter_):
     found = analyze(plant, filter_)
     assert found.simulation_agrees
     assert found.simulated_sd < 0.03 * found.expected_rms
-    rms, sd, _ = simulated_rms(Plant(A, B, C, D, H, rho=0.3), filter_)
+    loop = ClosedLoop.of(plant, filter_)
+    rms, sd, _ = simulated_rms(Plant(A, B, C, D, H, rho=0.3), filter_, loop, fed_back=False)
     assert not Analysis(*[0.0] * 6, rms, sd, found.expected_rms).simulation_agrees
 
 

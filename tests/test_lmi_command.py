@@ -30,6 +30,9 @@ def test_prints_the_design_of_the_bundled_plant(command):
     status, out, err = command()
     assert (status, err) == (0, "")
     assert "l2linf filter of order 3" in out
+    status, out, err = command("--kind", "hinf")
+    assert (status, err) == (0, "")
+    assert "hinf filter of order 3" in out
     assert "confirms gamma" in out
     for told in (*lmi_command.ROWS, "Af", "Bf", "Cf", "Df"):
         assert told in out
@@ -41,7 +44,7 @@ def test_json_is_the_design(command):
     status, out, _ = command("two_vertices", "--order", 2, "--json")
     assert status == 0
     told = json.loads(out)
-    _, vertices = load_plant("two_vertices")
+    *_, vertices = load_plant("two_vertices")
     filter_ = Filter(**{name: np.array(matrix) for name, matrix in told["filter"].items()})
     assert (told["kind"], told["outcome"], filter_.order) == ("theorem2", "CONFIRMED", 2)
     gains = [peak_gain(ClosedLoop.of(plant, filter_), adapted=True) for plant in vertices]
@@ -56,9 +59,10 @@ def test_kinds_are_those_that_there_are():
 def test_every_bundled_plant_is_good():
     assert "two_state" in plant_names()
     for name in plant_names():
-        title, vertices = load_plant(name)
+        title, kind, vertices = load_plant(name)
         assert title
-        assert all(plant.spectral_radius < 1 for plant in vertices)
+        assert kind == "feedback" or all(plant.spectral_radius < 1 for plant in vertices)
+        assert all(plant.hidden_mode() is None for plant in vertices)
 
 
 @pytest.mark.parametrize(
@@ -67,11 +71,12 @@ def test_every_bundled_plant_is_good():
         ("A = [", "not TOML"),
         ("A = [[0.9]]", "B: missing"),
         (MATRICES + "rho = 2.0", "rho = 2.0: allowed is (0, 1]"),
-        (MATRICES + "rhoo = 1", "rhoo: unknown field; known are A, B, C, D, H, rho, title, vertex"),
+        (MATRICES + "rhoo = 1", "rhoo: unknown field; known are A, B, C, D, H, kind, rho, title, vertex"),
+        (MATRICES + "kind = 'h3'", "kind = 'h3': allowed are l2linf, feedback"),
         (MATRICES + "title = 3", "title = 3: must be text"),
         (MATRICES.replace("[[0.9, 0.2], ", "["), "A is 1 by 2: must be 1 by 1, where A has 1 rows"),
         (f"[[vertex]]\n{MATRICES}[[vertex]]\nA = [[0.9]]", "vertex 2: B: missing"),
-        (f"{MATRICES}[[vertex]]\n{MATRICES}", "A: unknown field; known are rho, title, vertex"),
+        (f"{MATRICES}[[vertex]]\n{MATRICES}", "A: unknown field; known are kind, rho, title, vertex"),
         ("vertex = []", "a polytope has at least one vertex"),
         ("vertex = 1", "vertex: must be tables"),
         (MATRICES.replace("0.7]]", "1.0]]"), "UNSTABLE: the plant is not Schur stable: spectral radius"),
@@ -95,7 +100,7 @@ def test_mistakes_are_told_in_one_line(command, tmp_path, text, told):
             f"nowhere: neither a bundled plant ({', '.join(plant_names())}) nor a .toml file",
         ),
         (["nowhere.toml"], "nowhere.toml: cannot be read"),
-        (["--kind", "best"], "--kind best: allowed are l2linf, hinf, h2, theorem2"),
+        (["--kind", "best"], "--kind best: allowed are l2linf, hinf, h2, theorem2, feedback"),
         (["--order", "9"], "two_state: order = 9: allowed is [1, 3]"),
         (["--kind", "h2", "--order", "2"], "two_state: kind = h2: one vertex and full order"),
         (["two_vertices", "--kind", "hinf"], "two_vertices: kind = hinf: one vertex and full order"),

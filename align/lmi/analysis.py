@@ -20,9 +20,10 @@ import numpy as np
 from scipy.linalg import matrix_balance, solve_discrete_lyapunov
 from scipy.optimize import minimize_scalar
 
+from . import _game
 from .plant import Array, Augmented, Filter, Plant
 
-TOLERANCE = 1e-7
+TOLERANCE = 1e-6
 """Relative, of squares of gains; also the part of them that a recursion may leave out when it ends."""
 ENERGY_TOLERANCE = 1e-3
 """The same for energy gains against adapted disturbances: near the gain their recursion hardly moves."""
@@ -65,29 +66,60 @@ class ClosedLoop:
             s=a.s,
         )
 
+    @classmethod
+    def fed_back(cls, plant: Plant, gain: Array) -> "ClosedLoop":
+        """The plant with ``gain`` (n, m) times what is received taken out of its state; e = H x."""
+        a = Augmented.of(plant)
+        taken = -np.eye(len(a.A), len(gain)) @ gain
+        balanced, (unit, _) = matrix_balance(a.A + taken @ a.C0, permute=False, separate=True)
+        none = np.zeros((len(a.H), a.B.shape[1]))
+        return cls(
+            A0=balanced,
+            A1=taken @ a.C1 * unit / unit[:, None],
+            B0=(a.B + taken @ a.D0) / unit[:, None],
+            B1=taken @ a.D1 / unit[:, None],
+            c0=a.H * unit,
+            c1=np.zeros_like(a.H),
+            d0=none,
+            d1=none,
+            s=a.s,
+        )
+
+    @cached_property
+    def _operator(self) -> Array:
+        """X -> A0 X A0' + s^2 A1 X A1' on the upper triangles of symmetric matrices."""
+        rows, columns = np.triu_indices(len(self.A0))
+        whole = np.zeros((len(rows), len(rows)))
+        for part in (self.A0, self.s * self.A1):
+            direct = part[np.ix_(rows, rows)] * part[np.ix_(columns, columns)]
+            crossed = part[np.ix_(rows, columns)] * part[np.ix_(columns, rows)]
+            whole += np.where(rows == columns, direct, direct + crossed)
+        return whole
+
     @cached_property
     def spectral_radius(self) -> float:
-        """Of the operator X -> A0 X A0' + s^2 A1 X A1': mean-square stable if below 1.
-
-        The plant does not hear the filter, so A1 maps into the filter what only the plant feeds, and the
-        operator is block triangular: its eigenvalues are the products of those of A0, two at a time.
-        """
-        return float(np.abs(np.linalg.eigvals(self.A0)).max() ** 2)
+        """Of the operator X -> A0 X A0' + s^2 A1 X A1': mean-square stable if below 1."""
+        return float(np.abs(np.linalg.eigvals(self._operator)).max())
 
     @cached_property
     def gramian(self) -> Array:
         """Stationary covariance of eta under white w of unit variance."""
-        source = self.B0 @ self.B0.T + self.s**2 * self.B1 @ self.B1.T
-        # What A1 takes from eta is the plant's part, which A0 alone decides on.
-        plant_only = solve_discrete_lyapunov(self.A0, source)
-        return solve_discrete_lyapunov(self.A0, source + self.s**2 * self.A1 @ plant_only @ self.A1.T)
+        return self._stationary(self.B0 @ self.B0.T + self.s**2 * self.B1 @ self.B1.T, adjoint=False)
 
     @cached_property
     def observability(self) -> Array:
         """S: eta' S eta is what eta adds to the sum of E|e|^2 from now on, without further disturbances."""
-        error = self.c0.T @ self.c0 + self.s**2 * self.c1.T @ self.c1
-        filter_only = solve_discrete_lyapunov(self.A0.T, error)
-        return solve_discrete_lyapunov(self.A0.T, error + self.s**2 * self.A1.T @ filter_only @ self.A1)
+        return self._stationary(self.c0.T @ self.c0 + self.s**2 * self.c1.T @ self.c1, adjoint=True)
+
+    def _stationary(self, source: Array, adjoint: bool) -> Array:
+        """Solution of X = operator (or its adjoint) of X, plus ``source``."""
+        rows, columns = np.triu_indices(len(source))
+        unit = np.where(rows == columns, 1.0, np.sqrt(2.0))  # in these the adjoint is the transpose
+        operator = self._operator * unit[:, None] / unit
+        left = np.eye(len(unit)) - (operator.T if adjoint else operator)
+        X = np.zeros_like(source)
+        X[rows, columns] = np.linalg.solve(left, unit * source[rows, columns]) / unit
+        return X + np.triu(X, 1).T
 
     @property
     def error_covariance(self) -> Array:
@@ -105,53 +137,40 @@ class ClosedLoop:
         return mean + self.s**2 * (self.A1 @ P @ self.A1.T + self.B1 @ self.B1.T)
 
 
-def holds(loop: ClosedLoop, gain: float, adapted: bool, energy: bool) -> bool:
+def holds(loop: ClosedLoop, gain: float, adapted: bool, energy: bool, within: float = TOLERANCE) -> bool:
     """Whether no disturbance exceeds ``gain``: the energy gain, or the peak gain.
 
-    At a gain that is within `TOLERANCE` of the exact one the answer may be either. A recursion that does not
-    settle is a no.
+    A yes leaves out what can add no more than the part ``within`` to the square of the peak gain. A recursion
+    that does not settle is a no.
     """
     if loop.spectral_radius >= 1:
         return False
-    price, weight = gain**2, loop.gramian
-    mean = np.hstack([loop.A0, loop.B0])
-    random = loop.s * np.hstack([loop.A1, loop.B1])
     output = np.vstack([np.hstack([loop.c0, loop.d0]), loop.s * np.hstack([loop.c1, loop.d1])])
-    error = output.T @ output
-    n = len(loop.A0)
-    # Q: value function. S: the same without further disturbances, which is all that deterministic ones can
-    # have of what the delays will do.
-    Q, S, value = np.zeros((n, n)), np.zeros((n, n)), 0.0
-    for step in range(MOST_STEPS):
-        game = mean.T @ Q @ mean + random.T @ (Q if adapted else S) @ random
-        if energy or step == 0:
-            game += error
-        if not adapted:
-            S = loop.A0.T @ S @ loop.A0 + random[:, :n].T @ S @ random[:, :n]
-            if energy or step == 0:
-                S += error[:n, :n]
-        left = price * np.eye(len(game) - n) - game[n:, n:]
-        try:
-            factor = np.linalg.cholesky(left)
-        except np.linalg.LinAlgError:
-            return False
-        won = np.linalg.solve(factor, game[n:, :n])
-        Q, before = game[:n, :n] + won.T @ won, value
-        value = float(np.vdot(Q, weight))
-        if (abs(value - before) if energy else value) <= TOLERANCE * price:
-            return True
-    return False
+    return _game.settles(
+        np.hstack([loop.A0, loop.B0]),
+        loop.s * np.hstack([loop.A1, loop.B1]),
+        output.T @ output,
+        loop.gramian,
+        float(gain**2),
+        adapted,
+        energy,
+        TOLERANCE if energy else within,
+        MOST_STEPS,
+    )
 
 
 def peak_gain(loop: ClosedLoop, adapted: bool) -> float:
     """The exact peak gain, against adapted or against deterministic disturbances."""
     if loop.spectral_radius >= 1:
         return np.inf
-    # e = G w with one matrix G has the covariance G G' under white w, and the gain is the norm of G.
-    covariance = max(float(np.linalg.eigvalsh(loop.error_covariance)[-1]), 0.0)
-    if loop.s == 0 or covariance == 0:
-        return float(np.sqrt(covariance))
-    return _bisected(loop, adapted, False, 0.0, covariance, TOLERANCE)
+    # The mean error is G w with one matrix G: its covariance under white w is G G', its gain the norm of G.
+    # What the random part adds can only raise it.
+    P = solve_discrete_lyapunov(loop.A0, loop.B0 @ loop.B0.T)
+    mean = float(np.linalg.eigvalsh(loop.c0 @ P @ loop.c0.T + loop.d0 @ loop.d0.T)[-1])
+    if loop.s == 0 or mean <= 0:
+        return float(np.sqrt(max(mean, 0.0)))
+    fixed = _bisected(loop, False, False, mean, mean, TOLERANCE)
+    return _bisected(loop, True, False, fixed**2, fixed**2, TOLERANCE) if adapted else fixed
 
 
 def energy_gain(loop: ClosedLoop, adapted: bool) -> float:
@@ -167,14 +186,16 @@ def energy_gain(loop: ClosedLoop, adapted: bool) -> float:
 def _bisected(
     loop: ClosedLoop, adapted: bool, energy: bool, low: float, guess: float, tolerance: float
 ) -> float:
-    """Least gain that `holds`, from above, when its square is at least ``low``."""
-    high = guess * (1 + tolerance)
-    while not holds(loop, np.sqrt(high), adapted, energy):
-        low, high = high, 2 * high
+    """Least gain that `holds`, from above; its square is at least ``low``, and perhaps near ``guess``."""
+    step = tolerance
+    while not holds(loop, np.sqrt(guess * (1 + step)), adapted, energy, step / 4):
+        low, step = guess * (1 + step), 8 * step
+    high = guess * (1 + step)
     while high - low > tolerance * high:
-        middle = (low + high) / 2
-        if holds(loop, np.sqrt(middle), adapted, energy):
-            high = middle
+        # What is left out may be of the size of the bracket: long recursions are for the last steps.
+        middle, within = (low + high) / 2, (high - low) / high / 8
+        if holds(loop, np.sqrt(middle), adapted, energy, within):
+            high = middle * (1 + within)
         else:
             low = middle
     return float(np.sqrt(high))
@@ -207,17 +228,18 @@ def _greatest_over_frequencies(loop: ClosedLoop) -> float:
 
 @dataclass(frozen=True)
 class Analysis:
-    """What `analyze` finds. Gains and RMS in units of z per unit of w; see the module for the names.
+    """What `analyze` finds, in units of z per unit of w; see the module for the names.
 
-    ``simulated_rms`` is the RMS of a simulated error under white noise, ``simulated_sd`` its standard error,
-    and ``expected_rms`` what the covariance recursion has for the same step.
+    Energy gains are None where nobody asked. ``simulated_rms`` is the RMS of a simulated error under white
+    noise, ``simulated_sd`` its standard error, and ``expected_rms`` what the covariance recursion has for the
+    same step.
     """
 
     spectral_radius: float
     peak_deterministic: float
     peak_adapted: float
-    energy_deterministic: float
-    energy_adapted: float
+    energy_deterministic: float | None
+    energy_adapted: float | None
     white_rms: float
     simulated_rms: float
     simulated_sd: float
@@ -229,45 +251,51 @@ class Analysis:
         return abs(self.simulated_rms - self.expected_rms) <= 6 * self.simulated_sd
 
 
-def analyze(plant: Plant, filter_: Filter) -> Analysis:
-    """Stability, gains, white-noise RMS and a simulation of the closed loop."""
-    loop = ClosedLoop.of(plant, filter_)
+def analyze(plant: Plant, filter_: Filter, fed_back: bool = False, energy: bool = False) -> Analysis:
+    """Stability, gains, white-noise RMS and a simulation of the closed loop.
+
+    ``fed_back`` : the filter is the gain Bf alone, and what it makes of the output is taken out of the state.
+    ``energy`` : whether to find the energy gains, which takes longest; they are None else.
+    """
+    loop = ClosedLoop.fed_back(plant, filter_.Bf) if fed_back else ClosedLoop.of(plant, filter_)
     if loop.spectral_radius >= 1:
         return Analysis(loop.spectral_radius, *[np.inf] * 5, *[np.nan] * 3)
     return Analysis(
         loop.spectral_radius,
         peak_gain(loop, adapted=False),
         peak_gain(loop, adapted=True),
-        energy_gain(loop, adapted=False),
-        energy_gain(loop, adapted=True),
+        energy_gain(loop, adapted=False) if energy else None,
+        energy_gain(loop, adapted=True) if energy else None,
         float(np.sqrt(np.trace(loop.error_covariance))),
-        *simulated_rms(plant, filter_),
+        *simulated_rms(plant, filter_, loop, fed_back),
     )
 
 
 def simulated_rms(
-    plant: Plant, filter_: Filter, runs: int = 2_000, steps: int = 200
+    plant: Plant, filter_: Filter, loop: ClosedLoop, fed_back: bool, runs: int = 2_000, steps: int = 200
 ) -> tuple[float, float, float]:
     """Error at the last of some steps from rest, under white noise: simulated, its standard error, expected.
 
-    Simulated are the plant and the filter as they stand in eqs. (10) and (11), late outputs and all.
+    Simulated are the plant and the filter as they stand in eqs. (10) and (11), late outputs and all; expected
+    is what ``loop`` makes of the covariance.
     """
     rng = np.random.default_rng(1)
     n, width, m, _ = plant.shape
     x, x_f, y_before = np.zeros((runs, n)), np.zeros((runs, filter_.order)), np.zeros((runs, m))
-    loop = ClosedLoop.of(plant, filter_)
-    P = np.zeros_like(loop.A0)
-    e = np.zeros(runs)
+    P, e = np.zeros_like(loop.A0), np.zeros((runs, len(plant.H)))
     for step in range(steps):
         w = rng.standard_normal((runs, width))
         y = x @ plant.C.T + w @ plant.D.T
         received = np.where(rng.random((runs, 1)) < plant.rho, y, y_before)
         if step == steps - 1:
-            e = x @ plant.H.T - x_f @ filter_.Cf.T - received @ filter_.Df.T
+            e = x @ plant.H.T
+            e = e if fed_back else e - x_f @ filter_.Cf.T - received @ filter_.Df.T
         else:
             P = loop.carried(P)
         x_f = x_f @ filter_.Af.T + received @ filter_.Bf.T
         x, y_before = x @ plant.A.T + w @ plant.B.T, y
+        if fed_back:
+            x = x - received @ filter_.Bf.T
     square = (e**2).sum(axis=1)
     rms = float(np.sqrt(square.mean()))
     sd = float(square.std() / np.sqrt(runs) / (2 * rms)) if rms > 0 else 0.0

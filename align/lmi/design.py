@@ -9,11 +9,12 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
+from scipy.linalg import block_diag
 
 from . import analysis, cache, h2, hinf, l2linf
 from .analysis import Analysis, ClosedLoop
-from .inequality import Unknowns, settling, solved
-from .lmmse import lmmse
+from .inequality import FedBack, Unknowns, settling, solved
+from .lmmse import lmmse, predicted
 from .plant import Array, Augmented, Filter, Plant, checked_polytope, mixture
 
 CONFIRMED_WITHIN = 1e-4
@@ -31,6 +32,12 @@ class Kind(StrEnum):
     """RMS under white noise, lossless form."""
     THEOREM2 = "theorem2"
     """Peak gain, in the form of Theorem 2 of Gao et al.: any order, several vertices."""
+    FEEDBACK = "feedback"
+    """Peak gain of e = H x where L y^ is taken out of the plant's state at once: x(k+1) = A x + B w - L y^.
+
+    The plant need not be stable, only detectable. The design's `Filter` has L in the place of Bf, A - L C of
+    Af and H of Cf.
+    """
 
 
 class Outcome(Enum):
@@ -86,13 +93,13 @@ def design(
     `DesignError` if there is no filter or the analysis does not confirm it.
     """
     vertices = checked_polytope([plants] if isinstance(plants, Plant) else plants)
-    full = vertices[0].full_order
+    full = len(vertices[0].A) if kind is Kind.FEEDBACK else vertices[0].full_order
     if order is not None and not 1 <= order <= full:
         raise ValueError(f"order = {order}: allowed is [1, {full}]")
     if kind is not Kind.THEOREM2 and (len(vertices) > 1 or order not in (None, full)):
         raise ValueError(f"kind = {kind.value}: one vertex and full order; others by kind = theorem2")
     for plant in vertices:
-        _refuse_unstable(plant)
+        _refuse_unstable(plant, settled=kind is not Kind.FEEDBACK)
     order = order or full
     key = cache.design_key(vertices, kind.value, order)
     found = cache.read(key) if use_cache else None
@@ -122,36 +129,44 @@ def _decoded(content: dict[str, Any]) -> Design:
     return Design(**{**content, **own})
 
 
-def _refuse_unstable(plant: Plant) -> None:
+def _refuse_unstable(plant: Plant, settled: bool) -> None:
     radius = plant.spectral_radius
     if radius < 1:
         return
     hidden = plant.hidden_mode()
     if hidden is not None:
         raise DesignError(Outcome.UNDETECTABLE, f"eigenvalue {hidden:.6g} of A; a leak in it would do")
-    raise DesignError(
-        Outcome.UNSTABLE, f"spectral radius of A = {radius:.6g}, must be below 1; a leak would do"
-    )
+    if settled:
+        raise DesignError(
+            Outcome.UNSTABLE, f"spectral radius of A = {radius:.6g}, must be below 1; a leak would do"
+        )
 
 
 def _designed(vertices: tuple[Plant, ...], kind: Kind, order: int) -> Design:
-    state, output, wanted = units(vertices)
+    fed_back = kind is Kind.FEEDBACK
+    state, output, wanted = _prompt_units(vertices[0]) if fed_back else units(vertices)
     models = [Augmented.of(plant).scaled(state, output, wanted) for plant in vertices]
-    unknowns = Unknowns(models[0], order, lossless=kind is not Kind.THEOREM2)
+    unknowns = (
+        FedBack(models[0], order) if fed_back else Unknowns(models[0], order, kind is not Kind.THEOREM2)
+    )
     g = cp.Variable(nonneg=True)
     inequality = {Kind.HINF: hinf.constraints, Kind.H2: h2.constraints}.get(kind, l2linf.constraints)
     closed = [unknowns.closed(model) for model in models]
     try:
         status = solve(cp.Problem(cp.Minimize(g), [part for form in closed for part in inequality(form, g)]))
     except DesignError as error:
-        if error.outcome is Outcome.INACCURATE:
-            # At a margin of STRICT the solver may not see that there is no solution; at one of 1 it does.
+        if error.outcome is Outcome.INACCURATE and len(vertices) > 1:
+            # At a margin of STRICT the solver may not see that there is no solution; at one of 1 it does. For
+            # one vertex there always is one.
             solve(cp.Problem(cp.Minimize(0), [settling(form) for form in closed]))
         raise
+    gamma = wanted * float(np.sqrt(solved(g)))
+    if isinstance(unknowns, FedBack):
+        L = state[:order, :order] @ np.linalg.solve(output.T, unknowns.gain.T).T
+        return confirmed(vertices, kind, _with_gain(vertices[0], L), gamma, status)
     f = unknowns.filter()
     B = np.linalg.solve(output.T, f.Bf.T).T
     D = wanted * np.linalg.solve(output.T, f.Df.T).T
-    gamma = wanted * float(np.sqrt(solved(g)))
     return confirmed(vertices, kind, Filter(f.Af, B, wanted * f.Cf, D), gamma, status)
 
 
@@ -167,6 +182,21 @@ def units(vertices: Sequence[Plant]) -> tuple[Array, Array, float]:
     output = _root(S, S)
     size = max(float(np.linalg.eigvalsh(each.error)[-1]) for each in best)
     return state, output, float(np.sqrt(size)) if size > 0 else 1.0
+
+
+def _with_gain(plant: Plant, L: Array) -> Filter:
+    return Filter(plant.A - L @ plant.C, L, plant.H, np.zeros((len(plant.H), L.shape[1])))
+
+
+def _prompt_units(plant: Plant) -> tuple[Array, Array, float]:
+    """The same for a state that is fed back: covariances of the Kalman filter, as if nothing were late."""
+    try:
+        P, S = predicted(plant.A, plant.B, plant.C, plant.D, plant.D @ plant.D.T)
+        state, output = _root(P, P), _root(S, S)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise DesignError(Outcome.INACCURATE, f"no units to solve in: {error}") from error
+    wanted = float(np.sqrt(np.linalg.eigvalsh(plant.H @ P @ plant.H.T)[-1])) or 1.0
+    return np.asarray(state if plant.rho == 1 else block_diag(state, output)), output, wanted
 
 
 def _root(P: Array, M: Array) -> Array:
@@ -209,18 +239,19 @@ def confirmed(
         where = "" if len(plants) == 1 else f"vertex {number}: " if number < len(plants) else "centre: "
         if not all(np.isfinite(matrix).all() for matrix in vars(filter_).values()):
             raise DesignError(Outcome.NOT_CONFIRMED, f"the filter is not finite, solver {status}")
-        loop = ClosedLoop.of(plant, filter_)
+        fed_back = kind is Kind.FEEDBACK
+        loop = ClosedLoop.fed_back(plant, filter_.Bf) if fed_back else ClosedLoop.of(plant, filter_)
         if not loop.spectral_radius < 1:
             raise DesignError(
                 Outcome.NOT_CONFIRMED,
                 f"{where}spectral radius {loop.spectral_radius:.6g} in mean square, solver {status}",
             )
-        found = analysis.analyze(plant, filter_)
-        gain = {Kind.HINF: found.energy_adapted, Kind.H2: found.white_rms}.get(kind, found.peak_adapted)
+        found = analysis.analyze(plant, filter_, fed_back, energy=kind is Kind.HINF)
+        gain = found.white_rms if kind is Kind.H2 else found.peak_adapted
         allowed = gamma * (1 + CONFIRMED_WITHIN)
         kept = gain <= allowed
-        if kind is Kind.HINF:  # the gain itself is known to a thousandth only
-            kept = analysis.holds(loop, allowed, adapted=True, energy=True)
+        if found.energy_adapted is not None:  # itself known to a thousandth only
+            gain, kept = found.energy_adapted, analysis.holds(loop, allowed, adapted=True, energy=True)
         if not kept or not found.simulation_agrees:
             raise DesignError(
                 Outcome.NOT_CONFIRMED,

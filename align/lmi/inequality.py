@@ -74,7 +74,42 @@ class Unknowns:
         )
 
 
-def solved(variable: cp.Variable) -> Array:
+class FedBack:
+    """Unknowns of a gain L whose product with what is received is taken out of the plant's state at once.
+
+    The closed loop is x(k+1) = A x + B w - L y^, e = H x; linear in Bh = V2 L, with G = [V2, Va; 0, Vb]. The
+    plant's own stability does not matter, and late outputs are those of a state that is kept small.
+    """
+
+    def __init__(self, like: Augmented, n: int) -> None:
+        N, m = len(like.A), len(like.C0)
+        self.V2, self.Bh = cp.Variable((n, n)), cp.Variable((n, m))
+        self.E = np.eye(N, n)
+        self.G: Expression = self.V2
+        if n < N:
+            lower = [np.zeros((N - n, n)), cp.Variable((N - n, N - n))]
+            self.G = cp.bmat([[self.V2, cp.Variable((n, N - n))], lower])
+
+    def closed(self, plant: Augmented) -> "ClosedForm":
+        """The closed loop, multiplied by G."""
+        P = cp.Variable(plant.A.shape, symmetric=True)
+        taken = -self.E @ self.Bh
+        F, J = [self.G @ plant.A + taken @ plant.C0], [self.G @ plant.B + taken @ plant.D0]
+        c, d = [plant.H], [np.zeros((len(plant.H), plant.B.shape[1]))]
+        if plant.s > 0:
+            F.append(plant.s * taken @ plant.C1)
+            J.append(plant.s * taken @ plant.D1)
+        return ClosedForm(
+            P, self.G + self.G.T - P, F, J, c, d, np.eye(plant.B.shape[1]), np.eye(len(plant.H))
+        )
+
+    @property
+    def gain(self) -> Array:
+        """L of the solution, (n, m)."""
+        return np.linalg.solve(solved(self.V2), solved(self.Bh))
+
+
+def solved(variable: Expression) -> Array:
     """Value of an unknown in the solution; zero if the inequality does not hold it."""
     return np.zeros(variable.shape) if variable.value is None else np.asarray(variable.value)
 

@@ -116,8 +116,7 @@ def mixture(vertices: Sequence[Plant], weights: Sequence[float] | None = None) -
 class Augmented:
     """The plant in xi = [x; y(k-1)], (N,) with N = n + m, without delay but with multiplicative noise.
 
-    For rho = 1 nothing is late, and xi = x. A (N, N), B (N, l), C0 and C1 (m, N), D0 and D1 (m, l), H (p, N);
-    ``s``, deviation of q.
+    For rho = 1 nothing is late, and xi = x. A (N, N), B (N, l), C0 and C1 (m, N), D0 and D1 (m, l), H (p, N).
     """
 
     A: Array
@@ -127,7 +126,12 @@ class Augmented:
     D0: Array
     D1: Array
     H: Array
-    s: float
+    rho: float
+
+    @property
+    def s(self) -> float:
+        """Standard deviation of q."""
+        return float(np.sqrt(self.rho * (1 - self.rho)))
 
     @classmethod
     def of(cls, plant: Plant) -> "Augmented":
@@ -136,7 +140,7 @@ class Augmented:
         rho = plant.rho
         if rho == 1:
             none = np.zeros_like
-            return cls(plant.A, plant.B, plant.C, none(plant.C), plant.D, none(plant.D), plant.H, 0.0)
+            return cls(plant.A, plant.B, plant.C, none(plant.C), plant.D, none(plant.D), plant.H, 1.0)
         return cls(
             A=np.block([[plant.A, np.zeros((n, m))], [plant.C, np.zeros((m, m))]]),
             B=np.vstack([plant.B, plant.D]),
@@ -145,7 +149,7 @@ class Augmented:
             D0=rho * plant.D,
             D1=plant.D,
             H=np.hstack([plant.H, np.zeros((p, m))]),
-            s=float(np.sqrt(rho * (1 - rho))),
+            rho=rho,
         )
 
     def scaled(self, state: Array, output: Array, wanted: float) -> "Augmented":
@@ -159,7 +163,7 @@ class Augmented:
             D0=solve(output, self.D0),
             D1=solve(output, self.D1),
             H=self.H @ state / wanted,
-            s=self.s,
+            rho=self.rho,
         )
 
 
