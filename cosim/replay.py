@@ -128,7 +128,11 @@ def _innovation_sd(
     row = np.searchsorted(estimate.time, estimate.fix_time - 1e-6) - 1
     known = (row >= 0) & np.isfinite(estimate.fix_time)
     row = np.maximum(np.where(known, row, 0), 0)
-    moving = np.hstack([estimate.v_n, np.gradient(estimate.v_n, estimate.time, axis=0)])[row]
+    before = np.searchsorted(estimate.time, estimate.time[row] - settings.acceleration_window_s)
+    before = np.minimum(before, np.maximum(row - 1, 0))
+    elapsed = np.maximum(estimate.time[row] - estimate.time[before], 1e-9)[:, None]
+    acceleration = np.nan_to_num((estimate.v_n[row] - estimate.v_n[before]) / elapsed)
+    moving = np.hstack([estimate.v_n[row], acceleration])
     spread_ms = {DelayModel.STAMPED: settings.stamp_sd_ms, DelayModel.ESTIMATED: settings.delay_sd_ms}
     variance = estimate.sd[row][:, [*range(POSITION.start, VELOCITY.stop)]] ** 2
     variance += np.einsum("kii->ki", fixes.cov) + (moving * spread_ms.get(delay, 0.0) * MILLISECOND) ** 2

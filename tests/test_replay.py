@@ -67,7 +67,7 @@ def recording():
     time, dtheta, dv, truth = drive()
     imu = simulate_imu(time, dtheta, dv, ImuErrors(**BUDGET), np.random.default_rng(5))
     rng, rows = np.random.default_rng(6), np.arange(0, N, 10)
-    sd = np.array([0.5, 0.5, 1.0, 0.05, 0.05, 0.05])
+    sd = np.array([0.5, 0.8, 1.0, 0.05, 0.05, 0.05])
     noise = sd * rng.standard_normal((len(rows), 6))
     fixes = Fixes(
         t_valid=time[rows],
