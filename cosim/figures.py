@@ -5,6 +5,7 @@ spans the 5th to the 95th percentile of the runs.
 """
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -25,7 +26,31 @@ from .score import COLUMNS, FilterScore
 
 Scores = Mapping[str, FilterScore]
 
-_SINCE_START = "time from the start of the alignment, s"
+
+class Clock(NamedTuple):
+    """The axis of time: what it counts from, and the phases of the flight that begin on it."""
+
+    label: str
+    offset: float
+    """s, to be added to the time since the start of the alignment."""
+    phases: tuple[tuple[float, str], ...]
+    """When they begin, s on this axis, and their names."""
+
+
+def clock_of(flight: Flight, window: Flight) -> Clock:
+    """Since lift-off where the alignment begins before level flight, else since its own start."""
+    start = float(window.time[0])
+    from_lift_off = start < flight.phase("level").start_s
+    zero = flight.phase("takeoff").end_s if from_lift_off else start
+    least = 0.12 * float(window.time[-1] - start)  # or there is no room for its name
+    begun = [p for p in flight.phases if start < p.start_s < window.time[-1] - least]
+    return Clock(
+        "time since lift-off, s" if from_lift_off else "time from the start of the alignment, s",
+        start - zero,
+        tuple((phase.start_s - zero, told(phase.name)) for phase in begun),
+    )
+
+
 _LABELS = {
     "roll_arcsec": "roll error, arcsec",
     "pitch_arcsec": "pitch error, arcsec",
@@ -50,16 +75,17 @@ def draw_all(
     ``bounds`` by name, each (m, 5), as `score.standard_deviations` gives them; ``delay_mean_s`` is that of
     the fixes; ``with_bands`` shows what independent runs of a consistent filter keep to.
     """
+    clock = clock_of(flight, window)
     estimating = {name: score for name, score in scores.items() if np.any(score.delay > 0)}
     with mpl.rc_context(STYLE):
         figures = {
-            "attitude": svg(_errors(scores, bounds, COLUMNS[:3])),
-            "velocity": svg(_errors(scores, bounds, COLUMNS[3:], with_position=True)),
-            "consistency": svg(_consistency(scores, with_bands)),
+            "attitude": svg(_errors(clock, scores, bounds, COLUMNS[:3])),
+            "velocity": svg(_errors(clock, scores, bounds, COLUMNS[3:], with_position=True)),
+            "consistency": svg(_consistency(clock, scores, with_bands)),
             "flight": svg(_flight(flight, window)),
         }
         if estimating:
-            figures["delay"] = svg(_delay(estimating, delay_mean_s))
+            figures["delay"] = svg(_delay(clock, estimating, delay_mean_s))
     return figures
 
 
@@ -77,27 +103,39 @@ def _widths(scores: Scores) -> dict[str, float]:
 
 
 def _errors(
-    scores: Scores, bounds: Mapping[str, Array], columns: tuple[str, ...], with_position: bool = False
+    clock: Clock,
+    scores: Scores,
+    bounds: Mapping[str, Array],
+    columns: tuple[str, ...],
+    with_position: bool = False,
 ) -> Figure:
     figure, axes = panels(1, 3, 3.6)
     for ax, column in zip(axes[0], columns, strict=False):
         i = COLUMNS.index(column)
         for name, score in scores.items():
-            _rms_with_spread(ax, name, score.time, np.abs(score.errors[:, :, i]), _widths(scores)[name])
-        time = next(iter(scores.values())).time
+            _rms_with_spread(
+                ax, name, score.time + clock.offset, np.abs(score.errors[:, :, i]), _widths(scores)[name]
+            )
+        time = next(iter(scores.values())).time + clock.offset
         for (key, bound), style in zip(bounds.items(), ("--", ":"), strict=False):
             ax.plot(time, bound[:, i], color="black", linestyle=style, linewidth=1, label=BOUND_NAMES[key])
-        ax.set(ylabel=_LABELS[column], xlabel=_SINCE_START)
+        ax.set(ylabel=_LABELS[column], xlabel=clock.label)
         # Single runs come as near to zero as chance has it.
         floor = bounds[STAMPED][:, i]
         known = floor[np.isfinite(floor)]
         log_scale(ax, bottom=0.2 * float(known.min()) if len(known) else None)
+    for ax in axes[0]:
+        for begin, name in clock.phases:
+            ax.axvline(begin, color="#999999", linewidth=0.6, linestyle=":")
+            ax.text(
+                begin, 0.99, f" {name}", transform=ax.get_xaxis_transform(), va="top", color="#555555", size=7
+            )
     if with_position:
         ax = axes[0][2]
         for name, score in scores.items():
             distance = np.linalg.norm(score.position_errors, axis=2)
-            _rms_with_spread(ax, name, score.time, distance, _widths(scores)[name])
-        ax.set(ylabel="position error, m", xlabel=_SINCE_START)
+            _rms_with_spread(ax, name, score.time + clock.offset, distance, _widths(scores)[name])
+        ax.set(ylabel="position error, m", xlabel=clock.label)
         log_scale(ax)
     legend(figure, axes[0][0])
     return figure
@@ -114,17 +152,21 @@ def _rms_with_spread(ax: Axes, name: str, time: Array, magnitude: Array, width: 
     ax.plot(time, rms, color=color, linewidth=width, label=name)
 
 
-def _consistency(scores: Scores, with_bands: bool) -> Figure:
+def _consistency(clock: Clock, scores: Scores, with_bands: bool) -> Figure:
     figure, ((over_time, histogram),) = panels(1, 2, 3.4)
     for name, score in scores.items():
         over_time.plot(
-            score.time, score.mean_nees, color=filter_color(name), linewidth=_widths(scores)[name], label=name
+            score.time + clock.offset,
+            score.mean_nees,
+            color=filter_color(name),
+            linewidth=_widths(scores)[name],
+            label=name,
         )
     runs = max(int(np.isfinite(score.nees[:, -1]).sum()) for score in scores.values())
     if with_bands:
         over_time.axhspan(*mean_band(3, max(runs, 1)), color="#DDDDDD", label="95 % band if consistent")
     over_time.axhline(3, color="black", linewidth=0.6)
-    over_time.set(ylabel="NEES (3), mean over the runs", xlabel=_SINCE_START)
+    over_time.set(ylabel="NEES (3), mean over the runs", xlabel=clock.label)
     log_scale(over_time)
 
     means = {name: score.nis[np.isfinite(score.nis)] for name, score in scores.items()}
@@ -146,12 +188,16 @@ def _consistency(scores: Scores, with_bands: bool) -> Figure:
     return figure
 
 
-def _delay(scores: Scores, delay_mean_s: float) -> Figure:
+def _delay(clock: Clock, scores: Scores, delay_mean_s: float) -> Figure:
     figure, ((ax,),) = panels(1, 1, 2.6)
     for name, score in scores.items():
         low, middle, high = _spread(score.delay / MILLISECOND, (0.05, 0.5, 0.95))
-        ax.fill_between(score.time, low, high, color=filter_color(name), alpha=0.2, linewidth=0)
-        ax.plot(score.time, middle, color=filter_color(name), label=f"{name}: median of the runs")
+        ax.fill_between(
+            score.time + clock.offset, low, high, color=filter_color(name), alpha=0.2, linewidth=0
+        )
+        ax.plot(
+            score.time + clock.offset, middle, color=filter_color(name), label=f"{name}: median of the runs"
+        )
     ax.axhline(
         delay_mean_s / MILLISECOND,
         color="black",
@@ -159,7 +205,7 @@ def _delay(scores: Scores, delay_mean_s: float) -> Figure:
         linewidth=1,
         label="mean delay of the fixes",
     )
-    ax.set(ylabel="estimated mean delay, ms", xlabel=_SINCE_START)
+    ax.set(ylabel="estimated mean delay, ms", xlabel=clock.label)
     legend(figure, ax)
     return figure
 
