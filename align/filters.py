@@ -87,8 +87,8 @@ class FilterSettings(Settings):
     horizon_s: float = Field(default=2.0, ge=0.1, le=60)
     """How far back a stamped fix may reach."""
     acceleration_window_s: float = Field(default=0.05, gt=0, le=2)
-    """Time over which the specific force is averaged to predict where the vehicle was: long enough to see through
-    vibration, and not so long that its middle comes before the fix, or the mean is late in a roll."""
+    """Time over which the specific force is averaged to predict where the vehicle was: long enough to see
+    through vibration, and not so long that its middle comes before the fix, or the mean is late in a roll."""
     lever_arm_b_m: tuple[Coordinate, Coordinate, Coordinate] = (0.0, 0.0, 0.0)
     """The antenna that fixes are valid for, as surveyed from the IMU, in b."""
     lever_arm_sd_m: float = Field(default=0.0, ge=0, le=10)

@@ -3,7 +3,9 @@
 A method takes a record from a coarse attitude, or from none, to an `Estimate`.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,19 +24,72 @@ class Method:
     """One way to align."""
 
     about: str
+    run: Callable[..., Estimate]
+    """Of time, dtheta_b, dv_b, q_nb_coarse, fixes, settings, imu, gravity, as `filters.align` has them."""
     delay: DelayModel
     """How it treats delays."""
-    smoothed: bool = False
+    in_flight: bool = True
+    """Whether it runs as fixes arrive, and does not need the whole record."""
+
+
+def _filter(delay: DelayModel) -> Callable[..., Estimate]:
+    def run(
+        time: ArrayLike,
+        dtheta_b: ArrayLike,
+        dv_b: ArrayLike,
+        q_nb: ArrayLike,
+        fixes: Fixes,
+        settings: FilterSettings,
+        imu: ImuErrors,
+        gravity: GravityModel,
+    ) -> Estimate:
+        return align(time, dtheta_b, dv_b, q_nb, fixes, delay, settings, imu, gravity)
+
+    return run
+
+
+def _designed(scheduled: bool) -> Callable[..., Estimate]:
+    def run(
+        time: ArrayLike,
+        dtheta_b: ArrayLike,
+        dv_b: ArrayLike,
+        q_nb: ArrayLike,
+        fixes: Fixes,
+        settings: FilterSettings,
+        imu: ImuErrors,
+        gravity: GravityModel,
+    ) -> Estimate:
+        from .lmi.alignment import align_lmi, gain_schedule  # cvxpy takes a second to import
+        from .lmi.task import sins_plant_settings, steepest_side_mps2
+
+        side = steepest_side_mps2(time, dv_b) if scheduled else None
+        schedule = gain_schedule(sins_plant_settings(fixes, settings, imu), side)
+        return align_lmi(time, dtheta_b, dv_b, q_nb, fixes, schedule, settings, gravity)
+
+    return run
+
+
+def _ekf_ten(*record: Any) -> Estimate:
+    from .lmi.alignment import ekf_ten
+
+    return ekf_ten(*record)
 
 
 METHODS = {
     **{
-        name: Method(f"error-state filter, delay {delay.name.lower()}", delay)
+        name: Method(f"error-state filter, delay {delay.name.lower()}", _filter(delay), delay)
         for name, delay in FILTERS.items()
     },
     "smoother": Method(
-        "fixed-interval smoother, for review after the flight", DelayModel.STAMPED, smoothed=True
+        "fixed-interval smoother, for review after the flight", smooth, DelayModel.STAMPED, in_flight=False
     ),
+    "l2linf_lmi": Method(
+        "the paper's ten states, constant gain by an LMI", _designed(scheduled=False), DelayModel.IGNORED
+    ),
+    "l2linf_lmi_scheduled": Method(
+        "the same, gains over the force to the side", _designed(scheduled=True), DelayModel.IGNORED
+    ),
+    "ekf_ten": Method("EKF on the paper's ten states", _ekf_ten, DelayModel.IGNORED),
 }
 """Methods that a scenario can name."""
 
@@ -60,29 +115,13 @@ def estimate(
     method = METHODS[name]
     record = (time, dtheta_b, dv_b, q_nb_coarse, fixes)
     if settings.coarse_stage == "none":
-        return _fine(method, *record, settings, imu, gravity)
+        return method.run(*record, settings, imu, gravity)
     problem = pose(*record, method.delay, settings, imu, gravity)
     found = align_in_motion(problem)
     if found is None:
         return unaligned(problem, RunOutcome.NO_COARSE)
-    fine = _fine(method, *record[:3], found.q_nb, fixes, settings, imu, gravity)
-    return fine if method.smoothed else _known_from(fine, found.time)
-
-
-def _fine(
-    method: Method,
-    time: ArrayLike,
-    dtheta_b: ArrayLike,
-    dv_b: ArrayLike,
-    q_nb: ArrayLike,
-    fixes: Fixes,
-    settings: FilterSettings,
-    imu: ImuErrors,
-    gravity: GravityModel,
-) -> Estimate:
-    if method.smoothed:
-        return smooth(time, dtheta_b, dv_b, q_nb, fixes, settings, imu, gravity)
-    return align(time, dtheta_b, dv_b, q_nb, fixes, method.delay, settings, imu, gravity)
+    fine = method.run(*record[:3], found.q_nb, fixes, settings, imu, gravity)
+    return _known_from(fine, found.time) if method.in_flight else fine
 
 
 def _known_from(fine: Estimate, time: float) -> Estimate:

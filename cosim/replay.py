@@ -100,7 +100,7 @@ def _aligned(name: str, imu: RecordedImu, fixes: Fixes, settings: ReplayMap) -> 
         settings.gravity_model,
     )
     method = METHODS[name]
-    if method.smoothed:
+    if not method.in_flight:
         # What a smoother is sure of is not what its filter was, when the fix came.
         return _thinned(history, kept), np.full((len(fixes), 6), np.nan)
     sd = _innovation_sd(history, fixes, method.delay, filter_settings, settings.imu.vibration_mps)

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from collections import Counter
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -135,8 +136,9 @@ def run(
         if reason:
             out_console.print(f"no bound: {reason}")
         for filter_name, score in scores.items():
-            for run_id, reason in score.failures.items():
-                out_console.print(f"failed {filter_name}, run {run_id}: {reason}", style="red")
+            for reason, count in Counter(score.failures.values()).items():
+                told = f"failed {filter_name}: {count} of {score.runs} runs {reason}"
+                out_console.print(told, style="red")
         for line in settings.paper.remarks if settings.paper else ():
             out_console.print(f"- {line}")
         out_console.print(f"report     {folder / 'report.html'}", soft_wrap=True)

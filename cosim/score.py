@@ -174,7 +174,8 @@ class Scorer:
         at_start = attitude.misalignment(run.q_nb_coarse, self.truth.q_nb[0])
         level, heading = np.linalg.norm(phi[-1, :2]), abs(phi[-1, 2])
         closer = level < np.linalg.norm(at_start[:2]) and heading < abs(at_start[2])
-        return None if closer and final_nees < FAILED_NEES else "diverged"
+        # A method without a covariance has no NEES to be judged by.
+        return "diverged" if not closer or final_nees >= FAILED_NEES else None
 
     def scores(self) -> dict[str, FilterScore]:
         """Scores by filter name."""

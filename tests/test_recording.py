@@ -49,6 +49,7 @@ def an_estimate(window: Flight, fixes: Fixes, rng: np.random.Generator, delay_s:
         "accel_bias": 1e-3 * rng.standard_normal((m, 3)),
         "gyro_bias": 1e-7 * rng.standard_normal((m, 3)),
         "delay": np.full(m, delay_s),
+        "lever_arm_b": np.zeros((m, 3)),
         "sd": sd,
         "misalignment_cov": np.tile(np.diag([1e-8, 1e-8, 1e-6]), (m, 1, 1)),
     }
