@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from .command_line import AsJson, InputError, Quiet
-from .terminal import out_console
+from .terminal import error_console, out_console, progress_bar
 
 if TYPE_CHECKING:
     from ..align.lmi.design import Design
@@ -30,7 +30,9 @@ ROWS = {
 
 
 def lmi(
-    plant: Annotated[str, typer.Argument(help="A bundled plant or a TOML file.")] = "two_state",
+    plant: Annotated[
+        str, typer.Argument(help="A TOML file, or a bundled plant: gao_level, two_state, two_vertices.")
+    ] = "two_state",
     kind: Annotated[
         str | None,
         typer.Option(help="l2linf, hinf, h2, theorem2 or feedback; by default what the file says."),
@@ -51,7 +53,9 @@ def lmi(
     suggested = "theorem2" if len(vertices) > 1 or order is not None else suggested
     wanted = Kind(kind or suggested)
     try:
-        found = design(vertices, wanted, order)
+        # Mistakes show up in here as well: where nobody watches, nothing comes before their line.
+        with progress_bar("solving and analysing", quiet or as_json or not error_console.is_terminal):
+            found = design(vertices, wanted, order)
     except (DesignError, ValueError) as error:
         raise InputError(f"{plant}: {error}") from error
     if as_json:

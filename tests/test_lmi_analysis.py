@@ -90,8 +90,8 @@ def test_peak_gain_against_adapted_disturbances(watched):
     assert peak_gain(loop, adapted=True) > 1.03 * peak_gain(loop, adapted=False)
 
 
-def test_energy_gains_by_recursion_and_by_frequencies(plant, filter_):
-    loop = ClosedLoop.of(plant, filter_)
+def test_energy_gains_by_recursion_and_by_frequencies(watched):
+    loop = ClosedLoop.of(*watched)
     exact = energy_gain(loop, adapted=False)
     assert holds(loop, exact * 1.002, adapted=False, energy=True)
     assert not holds(loop, exact * 0.999, adapted=False, energy=True)

@@ -56,6 +56,12 @@ def test_kinds_are_those_that_there_are():
     assert set(lmi_command.KINDS) == {kind.value for kind in Kind}
 
 
+def test_help_names_the_bundled_plants(command):
+    status, out, _ = command("--help")
+    assert status == 0
+    assert all(name in out for name in plant_names())
+
+
 def test_every_bundled_plant_is_good():
     assert "two_state" in plant_names()
     for name in plant_names():

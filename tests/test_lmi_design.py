@@ -9,7 +9,7 @@ from fleetalign.align.lmi import cache, finite_horizon
 from fleetalign.align.lmi import design as design_module
 from fleetalign.align.lmi.analysis import ClosedLoop, analyze, peak_gain
 from fleetalign.align.lmi.design import DesignError, Kind, Outcome, confirmed, design, solve
-from fleetalign.align.lmi.lmmse import lmmse
+from fleetalign.align.lmi.lmmse import lmmse, predicted
 from fleetalign.align.lmi.plant import Filter, Plant, mixture
 
 A, B = [[0.9, 0.2], [0.0, 0.7]], [[0.3, 0.0, 0.0], [0.5, 0.1, 0.0]]
@@ -79,6 +79,40 @@ def test_peak_filter_pays_in_white_noise(made):
 def test_one_vertex_of_full_order_loses_nothing(late, made):
     assert made[False, Kind.THEOREM2].filter.order == 3
     assert made[False, Kind.THEOREM2].gamma == pytest.approx(made[False, Kind.L2LINF].gamma, rel=1e-4)
+
+
+@pytest.mark.parametrize(("n", "m", "rho"), [(4, 1, 0.9), (3, 2, 0.3)])
+def test_any_plant(n, m, rho):
+    """What holds for the plant above holds for plants drawn at random."""
+    rng = np.random.default_rng([n, m])
+    A, B, D = rng.normal(size=(n, n)), rng.normal(size=(n, n + m)), 0.5 * rng.normal(size=(m, n + m))
+    A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
+    plant = Plant(A, B, rng.normal(size=(m, n)), D, rng.normal(size=(2, n)), rho)
+    found = design(plant, use_cache=False)
+    exact = found.analyses[0]
+    assert exact.peak_deterministic <= exact.peak_adapted * (1 + 1e-6) <= found.gamma * (1 + 2e-6)
+    assert found.gamma < 1.2 * exact.peak_adapted
+    assert design(plant, Kind.THEOREM2, use_cache=False).gamma == pytest.approx(found.gamma, rel=1e-4)
+    assert design(plant, Kind.H2, use_cache=False).gamma == pytest.approx(lmmse(plant).rms, rel=1e-4)
+
+
+@pytest.mark.parametrize("rho", [1.0, 0.6])
+def test_gain_that_corrects_the_state_needs_no_stable_plant(rho):
+    """Position and velocity without any leak: the Kalman filter's gain if nothing is late, and worse if."""
+    plant = Plant([[1.0, 0.2], [0.0, 1.0]], B, C, D, H, rho)
+    P, _ = predicted(plant.A, plant.B, plant.C, plant.D, plant.D @ plant.D.T)
+    least = np.sqrt(np.linalg.eigvalsh(P)[-1])
+    found = design(plant, Kind.FEEDBACK, use_cache=False)
+    assert found.analyses[0].simulation_agrees
+    assert found.gamma >= found.analyses[0].peak_adapted * (1 - 1e-6)
+    if rho == 1:
+        assert found.gamma == pytest.approx(least, rel=1e-6)
+    else:
+        assert found.gamma > 1.02 * least
+    f = found.filter
+    less = Filter(f.Af, 0.7 * f.Bf, f.Cf, f.Df)
+    with pytest.raises(DesignError, match="NOT_CONFIRMED"):
+        confirmed([plant], Kind.FEEDBACK, less, found.gamma)
 
 
 def test_a_filter_of_the_plants_order_costs_little(late, made):
