@@ -1,9 +1,11 @@
-"""The floor: posterior Cramer-Rao bound of an alignment, with stamps known and with delays unknown.
+"""The floor: posterior Cramer-Rao bound of an alignment, with stamps known, with delays unknown, and
+afterwards.
 
 The trajectory is given and the priors and noises are Gaussian, so the bound is the covariance of the
 error-state filter run along the truth: perfect increments, exact fixes, no initial misalignment. A delay that
 nobody tells is one more unknown: its mean a state, its random part, taken for Gaussian of the variance that
-the delays really have, a noise along the motion.
+the delays really have, a noise along the motion. What the whole record tells of each of its times is the
+covariance of the smoother there.
 
 References
 ----------
@@ -13,6 +15,7 @@ References
 
 from collections.abc import Callable
 from dataclasses import replace
+from enum import StrEnum
 
 import numpy as np
 
@@ -22,6 +25,18 @@ from ..sins.imu import ImuErrors
 from ..sins.units import MILLISECOND
 from .estimate import Array, Estimate
 from .filters import DelayModel, FilterSettings, align
+from .smoother import smooth
+
+
+class Knowledge(StrEnum):
+    """What an estimator has, of which there is a bound each."""
+
+    STAMPED = "stamped"
+    """Fixes count from the time of their validity on."""
+    DELAY_UNKNOWN = "delay_unknown"
+    """Of a fix its arrival is known, and of the mean of the delays no more than the settings' prior."""
+    SMOOTHED = "smoothed"
+    """All fixes of the record, those after the time included, with their stamps."""
 
 
 def bound(
@@ -31,7 +46,7 @@ def bound(
     q_nb: Array,
     fixes: Fixes,
     antenna_at: Callable[[Array], tuple[Array, Array]],
-    stamps_known: bool,
+    knowledge: Knowledge,
     settings: FilterSettings,
     imu: ImuErrors,
     gravity: GravityModel,
@@ -50,9 +65,11 @@ def bound(
     """
     coarse_known = settings.model_copy(update={"coarse_stage": "none"})
     record = (time, dtheta_b, dv_b, q_nb)
-    if stamps_known:
+    if knowledge is not Knowledge.DELAY_UNKNOWN:
         lla, v_n = antenna_at(fixes.t_valid)
         exact = replace(fixes, lla=lla, v_n=v_n, t_stamp=fixes.t_valid, t_arrival=fixes.t_valid)
+        if knowledge is Knowledge.SMOOTHED:
+            return smooth(*record, exact, coarse_known, imu, gravity)
         return align(*record, exact, DelayModel.STAMPED, coarse_known, imu, gravity)
     delay = fixes.t_arrival - fixes.t_valid
     mean, sd = (float(np.mean(delay)), float(np.std(delay))) if len(delay) else (0.0, 0.0)

@@ -6,15 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from ..aircraft.flight import Flight
-from ..align.bound import bound
+from ..align.bound import Knowledge, bound
 from ..align.estimate import Estimate
 from ..network.fixes import Fixes
 from ..network.fleet_network import FleetNetwork
 from .antenna import at_antenna
 from .scenario import Scenario
 
-STAMPED, DELAY_UNKNOWN = BOUNDS = ("stamped", "delay_unknown")
-"""Names of the bounds: fixes with trusted stamps, and fixes of which the arrival alone is known."""
 BOUND_DRAWS = 50
 """Runs over whose fixes the bound is averaged."""
 UNMODELLED = (
@@ -33,19 +31,23 @@ LASTING = ("range_bias_sd_m", "biased_nodes", "nlos_share", "altitude_bias_sd_m"
 
 
 def bounds_of(scenario: Scenario, window: Flight, fixes: Sequence[Fixes]) -> dict[str, Estimate]:
-    """The bounds by the names of `BOUNDS`."""
-    return {name: bound_of(scenario, window, fixes, name) for name in BOUNDS}
+    """All bounds, by the names of `Knowledge`."""
+    return {kind.value: bound_of(scenario, window, fixes, kind) for kind in Knowledge}
 
 
-def bound_of(scenario: Scenario, window: Flight, fixes: Sequence[Fixes], name: str = STAMPED) -> Estimate:
-    """Posterior Cramer-Rao bound, one of `BOUNDS`, for the fixes of some runs.
+def bound_of(
+    scenario: Scenario, window: Flight, fixes: Sequence[Fixes], knowledge: Knowledge = Knowledge.STAMPED
+) -> Estimate:
+    """Posterior Cramer-Rao bound for the fixes of some runs.
 
     The covariance is the mean over the runs, which differ where packets are lost or come from a network.
     There, errors of fixes count as independent; those of the anchors, which fixes share, can only raise the
     true bound. Where `no_bound_because` has a reason, everything but the time is NaN.
     """
     alike = scenario.fixes.kind == "simulated" and getattr(scenario.fixes, "loss_probability", 0.0) == 0
-    bounds = [_bound_of_run(scenario, window, of_run, name) for of_run in (fixes[:1] if alike else fixes)]
+    bounds = [
+        _bound_of_run(scenario, window, of_run, knowledge) for of_run in (fixes[:1] if alike else fixes)
+    ]
     known = np.nan if no_bound_because(scenario) else 1.0
     return replace(
         bounds[0],
@@ -79,7 +81,7 @@ def no_bound_because(scenario: Scenario) -> str | None:
     return f"the filter has no model of {', '.join(unmodelled)}" if unmodelled else None
 
 
-def _bound_of_run(scenario: Scenario, window: Flight, fixes: Fixes, name: str) -> Estimate:
+def _bound_of_run(scenario: Scenario, window: Flight, fixes: Fixes, knowledge: Knowledge) -> Estimate:
     antenna = at_antenna(window, scenario.alignment.settings.lever_arm_b_m)
     return bound(
         window.time,
@@ -88,7 +90,7 @@ def _bound_of_run(scenario: Scenario, window: Flight, fixes: Fixes, name: str) -
         window.q_nb[0],
         fixes,
         lambda t: antenna.at(t)[:2],
-        name == STAMPED,
+        knowledge,
         scenario.alignment.settings,
         scenario.imu,
         window.gravity,

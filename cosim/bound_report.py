@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..aircraft.flight import Flight
+from ..align.bound import Knowledge
 from ..align.estimate import Array, Estimate
 from ..align.measurement import DELAY
 from ..sins.error_model import ACCEL, GYRO, POSITION, VELOCITY
 from ..sins.units import DEG_PER_HOUR, MICRO_G, MILLISECOND
-from .bound import DELAY_UNKNOWN, STAMPED
 from .drawing import STYLE, legend, log_scale, panels, svg
 from .figures import BOUND_NAMES
 from .outputs import write_parquet
@@ -50,6 +50,7 @@ _PANELS = {
     "accelerometer bias, ug": slice(9, 12),
     "gyro bias, deg/h": slice(12, 15),
 }
+_STYLES = {Knowledge.STAMPED: "-", Knowledge.DELAY_UNKNOWN: ":", Knowledge.SMOOTHED: "-."}
 _COLORS = ("#D55E00", "#3D8FD1", "#009E73")
 
 
@@ -101,7 +102,7 @@ def write_bound_report(
         scenario=scenario,
         summary=summary,
         states=STATES,
-        rows=[(BOUND_NAMES[key], row) for key, row in summary["bound"].items()],
+        rows=[(BOUND_NAMES[Knowledge(key)], row) for key, row in summary["bound"].items()],
         command=command,
         scenario_text=to_toml(scenario.model_dump(mode="json")),
     )
@@ -112,16 +113,18 @@ def _draw(window: Flight, bounds: Mapping[str, Estimate]) -> Figure:
     labels = list(STATES.values())
     for number, (title, columns) in enumerate(_PANELS.items()):
         ax: Axes = axes[number // 3][number % 3]
-        for key, style in ((STAMPED, "-"), (DELAY_UNKNOWN, ":")):
+        for key, style in _STYLES.items():
             time, states = bounds[key].time - window.time[0], states_of(window, bounds[key])
             for i in range(columns.start, columns.stop):
                 color = _COLORS[i - columns.start]
                 name = labels[i].split(",")[0]
-                ax.plot(time, states[:, i], style, color=color, label=name if key == STAMPED else None)
+                ax.plot(
+                    time, states[:, i], style, color=color, label=name if key is Knowledge.STAMPED else None
+                )
         ax.set(ylabel=title, xlabel="time from the start of the alignment, s" if number >= 3 else None)
         log_scale(ax)
         ax.legend(fontsize=8, loc="upper right")
-    axes[0][0].plot([], [], "-", color="black", label=BOUND_NAMES[STAMPED])
-    axes[0][0].plot([], [], ":", color="black", label=BOUND_NAMES[DELAY_UNKNOWN])
+    for key, style in _STYLES.items():
+        axes[0][0].plot([], [], style, color="black", label=BOUND_NAMES[key])
     legend(figure, axes[0][0])
     return figure

@@ -1,7 +1,7 @@
 """The report's figures, as SVG text.
 
-Filters keep the colours of `palette`; the bounds are black, dashed with stamps known, dotted without. A band
-spans the 5th to the 95th percentile of the runs.
+Filters keep the colours of `palette`; the bounds are black, dashed with stamps known, dotted without,
+dash-dotted afterwards. A band spans the 5th to the 95th percentile of the runs.
 """
 
 from collections.abc import Mapping
@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 from ..aircraft.flight import Flight
+from ..align.bound import Knowledge
 from ..align.consistency import mean_band
 from ..align.estimate import Array
 from ..sins import attitude
 from ..sins.units import DEG, MILLISECOND
-from .bound import DELAY_UNKNOWN, STAMPED
 from .drawing import STYLE, WIDTH_IN, legend, log_scale, panels, svg
 from .palette import ALIGNMENT, filter_color
 from .scenery import local_ned, told
@@ -58,7 +58,11 @@ _LABELS = {
     "v_east_mps": "velocity error east, m/s",
     "v_north_mps": "velocity error north, m/s",
 }
-BOUND_NAMES = {STAMPED: "bound, stamps known", DELAY_UNKNOWN: "bound, delay unknown"}
+BOUND_NAMES = {
+    Knowledge.STAMPED: "bound, stamps known",
+    Knowledge.DELAY_UNKNOWN: "bound, delay unknown",
+    Knowledge.SMOOTHED: "bound, afterwards",
+}
 _MAX_POINTS = 1500
 
 
@@ -117,11 +121,18 @@ def _errors(
                 ax, name, score.time + clock.offset, np.abs(score.errors[:, :, i]), _widths(scores)[name]
             )
         time = next(iter(scores.values())).time + clock.offset
-        for (key, bound), style in zip(bounds.items(), ("--", ":"), strict=False):
-            ax.plot(time, bound[:, i], color="black", linestyle=style, linewidth=1, label=BOUND_NAMES[key])
+        for (key, bound), style in zip(bounds.items(), ("--", ":", "-."), strict=False):
+            ax.plot(
+                time,
+                bound[:, i],
+                color="black",
+                linestyle=style,
+                linewidth=1,
+                label=BOUND_NAMES[Knowledge(key)],
+            )
         ax.set(ylabel=_LABELS[column], xlabel=clock.label)
         # Single runs come as near to zero as chance has it.
-        floor = bounds[STAMPED][:, i]
+        floor = bounds[Knowledge.STAMPED][:, i]
         known = floor[np.isfinite(floor)]
         log_scale(ax, bottom=0.2 * float(known.min()) if len(known) else None)
     for ax in axes[0]:

@@ -15,11 +15,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ..aircraft.flight import Flight
+from ..align.bound import Knowledge
 from ..align.consistency import mean_band
 from ..align.estimate import Array, Estimate, FixOutcome
 from ..sins import attitude
 from ..sins.units import DEG, DEG_PER_HOUR, MICRO_G, MILLISECOND
-from .bound import STAMPED
 from .files import whole_file
 from .network_score import NetworkScore
 from .run import Run
@@ -57,7 +57,7 @@ def summarize(
         "seed": seed,
         "runs": next(iter(scores.values())).runs,
         "flight": flight.summary,
-        **summarize_runs(scenario, scores, network, bounds[STAMPED][-1]),
+        **summarize_runs(scenario, scores, network, bounds[Knowledge.STAMPED][-1]),
         "bound": {key: _named(bound[-1]) for key, bound in bounds.items()},
     }
     if scenario.paper:

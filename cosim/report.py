@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..aircraft.flight import Flight
+from ..align.bound import Knowledge
 from ..align.estimate import Array, FixOutcome
 from ..network.fleet_network import FleetNetwork
 from ..network.record import NetworkRecord
@@ -69,7 +70,7 @@ def write_report(
         least_runs=LEAST_RUNS,
         columns=list(zip(COLUMNS, _HEADINGS, _DIGITS.values(), strict=True)),
         rows=[_row(name, row) for name, row in summary["filters"].items()],
-        bounds=[(BOUND_NAMES[key], row) for key, row in summary["bound"].items()],
+        bounds=[(BOUND_NAMES[Knowledge(key)], row) for key, row in summary["bound"].items()],
         comparison=_comparison(summary),
         outcomes=outcome_table({name: score.fix_outcomes for name, score in scores.items()}),
         network=network_tables(summary["network"]) if network is not None else None,

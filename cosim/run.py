@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ import numpy as np
 from ..aircraft.flight import Flight
 from ..align.estimate import Array, Estimate
 from ..align.filters import FilterSettings
-from ..align.methods import METHODS, estimate
+from ..align.methods import estimate
 from ..network.fixes import Fixes
 from ..network.fleet import CentrePath
 from ..network.fleet_network import FleetNetwork, fly_network
@@ -145,12 +145,13 @@ def simulate_all(
 
 
 @contextmanager
-def compiling_ahead() -> Iterator[None]:
-    """Compile all loops in a process of its own, while this one does something else.
+def compiling_ahead(scenario: Scenario) -> Iterator[None]:
+    """Compile the loops that a scenario's runs take in a process of its own, while this one does something else.
 
     Compiled code is kept on disk, so that this process finds it there when the context ends.
     """
-    program = f"from {__name__} import compile_loops; compile_loops()"
+    called = f"{list(scenario.alignment.filters)}, {scenario.fixes.kind == 'network'}"
+    program = f"from {__name__} import compile_loops; compile_loops({called})"
     nowhere = subprocess.DEVNULL
     process = subprocess.Popen([sys.executable, "-c", program], stdin=nowhere, stdout=nowhere, stderr=nowhere)
     try:
@@ -162,14 +163,15 @@ def compiling_ahead() -> Iterator[None]:
         process.wait()
 
 
-def compile_loops() -> None:
-    """Call the network once, at rest for a second, and the filters' loop, on a record of two samples."""
-    path = CentrePath(_Rest(), 0.0, 1.0)
-    fly_network(path, 0.0, 1.0, FleetNetwork(), partial(generator, 0, 0))
+def compile_loops(filters: Sequence[str], network: bool) -> None:
+    """Call these filters once, on a record of two samples, and the network if asked, at rest for a second."""
+    if network:
+        path = CentrePath(_Rest(), 0.0, 1.0)
+        fly_network(path, 0.0, 1.0, FleetNetwork(), partial(generator, 0, 0))
     nothing, none, ids = np.zeros((2, 3)), np.empty(0), np.empty(0, np.int64)
     vectors = np.empty((0, 3))
     fixes = Fixes(none, none, none, vectors, vectors, np.empty((0, 6, 6)), ids, ids)
-    for name in METHODS:
+    for name in filters:
         estimate(
             name,
             np.arange(2.0),

@@ -47,7 +47,8 @@ def run(
 ) -> None:
     """Fly a scenario, align on it many times, and write summary, estimates, recording and report."""
     from ..aircraft.cache import is_cached
-    from .bound import BOUND_DRAWS, STAMPED, bounds_of, no_bound_because
+    from ..align.bound import Knowledge
+    from .bound import BOUND_DRAWS, bounds_of, no_bound_because
     from .network_score import NetworkScorer
     from .outputs import estimates_writer, manifest, summarize, write_json
     from .recording import write_recording
@@ -63,7 +64,7 @@ def run(
     folder = output_folder(out or Path(f"fleetalign-{name}"))
     silent = quiet or as_json
     flown_before = is_cached(settings.flight) and not no_cache
-    with nullcontext() if flown_before else compiling_ahead():
+    with nullcontext() if flown_before else compiling_ahead(settings):
         flight = flown(settings, no_cache, silent)
     try:
         window = alignment_window(settings, flight)
@@ -112,7 +113,7 @@ def run(
             flight,
             window,
             first,
-            bounds[STAMPED],
+            bounds[Knowledge.STAMPED],
             settings.imu.vibration_mps,
         )
         progress(1, 2)

@@ -24,7 +24,7 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir(), f"fleet
 from fleetalign.aircraft.cache import cached_flight
 from fleetalign.cosim import cli
 from fleetalign.cosim.run import alignment_window
-from fleetalign.cosim.scenario import load_scenario
+from fleetalign.cosim.scenario import load_scenario, replaced
 from fleetalign.network.localization.problem import NodeOutcome
 from fleetalign.network.record import FixFate, NetworkRecord
 from fleetalign.sins import earth
@@ -65,8 +65,8 @@ def gao2009():
 
 @pytest.fixture(scope="session")
 def stated():
-    """The same flight and sensors, on fixes of stated noise and delay."""
-    return load_scenario("stated_fixes")[1]
+    """The same flight and sensors, on fixes of stated noise and delay; without its variants."""
+    return replaced(load_scenario("stated_fixes")[1], {"variants": {}}, "test")
 
 
 @pytest.fixture(scope="session")

@@ -143,7 +143,7 @@ def test_summary_has_the_keys_that_the_readme_names(gao2009, flight, window):
     keys = {*summary} - {"bound", "paper"} | set(summary["flight"]) | set(one) | {"ci95"}
     assert told == keys | set(summary["network"])
     assert set(summary["variants"]["other"]) == {"filters", "network", "paired"}
-    assert set(summary["bound"]) == {"stamped", "delay_unknown"}
+    assert set(summary["bound"]) == {"stamped", "delay_unknown", "smoothed"}
     assert set(summary["paper"]) == {"ekf", "l2linf"}
     json.dumps(summary, allow_nan=False)
 

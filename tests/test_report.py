@@ -8,9 +8,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from fleetalign.aircraft.flight import Flight, Phase
+from fleetalign.align.bound import Knowledge
 from fleetalign.align.consistency import mean_band
 from fleetalign.align.estimate import FixOutcome
-from fleetalign.cosim.bound import BOUNDS
 from fleetalign.cosim.outputs import manifest, summarize
 from fleetalign.cosim.palette import filter_color
 from fleetalign.cosim.report import to_toml, write_report
@@ -58,7 +58,7 @@ def a_score(
 def write(path, scenario: Scenario, scores: dict[str, FilterScore], floor=SD) -> tuple[str, dict]:
     """The text of a report, and the summary that it was made of."""
     flight = a_flight()
-    bounds = {name: np.tile(floor, (400, 1)) for name in BOUNDS}
+    bounds = {name: np.tile(floor, (400, 1)) for name in Knowledge}
     summary = summarize("a_name", scenario, 7, flight, scores, bounds)
     about = manifest("a_name", scenario, 7, RUNS, "fleetalign run a_name --seed 7 --out 'a & b'")
     write_report(path, scenario, flight, flight.window(20, 60), scores, bounds, summary, about)
@@ -83,7 +83,7 @@ def table_after(html: str, mark: str) -> list[list[str]]:
 
 def test_headline_table_shows_the_summary(report):
     html, summary = report
-    head, ekf, l2linf, bound, unknown = table_after(html, 'class="lead"')
+    head, ekf, l2linf, bound, unknown, _ = table_after(html, 'class="lead"')
     assert head[1:4] == ["Roll, arcsec", "Pitch, arcsec", "Heading, arcmin"]
     for cells, name in ((ekf, "ekf"), (l2linf, "l2linf")):
         row = summary["filters"][name]
