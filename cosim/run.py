@@ -146,7 +146,8 @@ def simulate_all(
 
 @contextmanager
 def compiling_ahead(scenario: Scenario) -> Iterator[None]:
-    """Compile the loops that a scenario's runs take in a process of its own, while this one does something else.
+    """Compile the loops that a scenario's runs take in a process of its own, while this one does something
+    else.
 
     Compiled code is kept on disk, so that this process finds it there when the context ends.
     """
