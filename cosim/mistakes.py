@@ -7,9 +7,29 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from .scenario import UNITS
-
 Schema = dict[str, Any]
+
+UNITS = {
+    "_deg": "deg",
+    "_deg_s": "deg/s",
+    "_deg_s2": "deg/s^2",
+    "_deg_h": "deg/h",
+    "_deg_sqrt_h": "deg/sqrt(h)",
+    "_deg_h_g": "deg/h/g",
+    "_arcsec": "arcsec",
+    "_arcmin": "arcmin",
+    "_g": "g",
+    "_ug": "ug",
+    "_ug_sqrt_hz": "ug/sqrt(Hz)",
+    "_ppm": "ppm",
+    "_mps": "m/s",
+    "_mps2": "m/s^2",
+    "_m": "m",
+    "_s": "s",
+    "_ms": "ms",
+    "_hz": "Hz",
+}
+"""What the endings of field names stand for; the longest that fits counts."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -24,56 +44,69 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path}: not TOML: {error}") from error
 
 
-def told_mistakes(origin: str, error: ValidationError, model: type[BaseModel]) -> str:
-    """Lines for pydantic's errors about content of ``model`` that comes from ``origin``."""
+def told_mistakes(origin: str, error: ValidationError, model: type[BaseModel], whole: str = "") -> str:
+    """Lines for pydantic's errors about content of ``model`` that comes from ``origin``.
+
+    A mistake of the content as a whole is told of ``whole``, if that has a name.
+    """
     schema = model.model_json_schema()
-    return "\n".join(_told(origin, mistake, schema) for mistake in error.errors(include_url=False))
+    return "\n".join(_told(origin, mistake, schema, whole) for mistake in error.errors(include_url=False))
 
 
-def _told(origin: str, mistake: Any, schema: Schema) -> str:
-    field = ".".join(str(part) for part in mistake["loc"])
+def _told(origin: str, mistake: Any, schema: Schema, whole: str) -> str:
+    parts, allowed = _declared(mistake["loc"], schema)
+    field = ".".join(parts) or whole
     kind, value = mistake["type"], mistake["input"]
     if kind in ("missing", "extra_forbidden"):
         return f"{origin}: {field}: {'missing' if kind == 'missing' else 'unknown field'}"
+    if kind == "union_tag_invalid":
+        tag, expected = mistake["ctx"]["tag"], mistake["ctx"]["expected_tags"]
+        return f"{origin}: {field}.kind = {tag!r}: allowed are {expected}"
     unit = _unit(field)
-    shown = "" if isinstance(value, dict) or not field else f" = {_shortened(repr(value))} {unit}".rstrip()
-    allowed = _range(schema, mistake["loc"])
+    shown = "" if isinstance(value, dict) or not field else f" = {shortened(repr(value))} {unit}".rstrip()
     told = (
         f"allowed is {allowed} {unit}".rstrip() if allowed else mistake["msg"].removeprefix("Value error, ")
     )
     return f"{origin}: {field}{shown}: {told}" if field else f"{origin}: {told}"
 
 
-def _shortened(text: str) -> str:
+def shortened(text: str) -> str:
+    """A text of at most 60 characters."""
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def _unit(field: str) -> str:
-    """Unit of a field, from the ending of its name."""
-    endings = [ending for ending in UNITS if field.endswith(ending)]
-    return UNITS[max(endings, key=len)] if endings else ""
-
-
-def _range(schema: Schema, location: Iterable[str | int]) -> str:
-    """The range that a schema declares for a place, empty if it declares none."""
-    candidates = [schema]
+def _declared(location: Iterable[str | int], schema: Schema) -> tuple[list[str], str]:
+    """Field names of a location in a schema (tags of alternatives dropped), and the range it declares."""
+    candidates, parts = [schema], []
     for part in location:
-        declared = [properties for c in candidates for properties in _properties(c, schema)]
-        candidates = [properties[part] for properties in declared if part in properties] or candidates
+        declared = [p for c in candidates for p in _properties(c, schema)]
+        nested = [p[part] for p in declared if part in p]
+        candidates = nested or candidates
+        # What is not a property is an index, an unknown field, or the tag of an alternative: drop the tag.
+        tags = [p["kind"].get("const") for p in declared if "kind" in p]
+        if nested or part not in tags:
+            parts.append(str(part))
     lower = upper = ""
     for candidate in [a for c in candidates for a in (c, *c.get("anyOf", []))]:
         for key, opening in (("minimum", "["), ("exclusiveMinimum", "(")):
             lower = f"{opening}{candidate[key]:g}" if key in candidate else lower
         for key, closing in (("maximum", "]"), ("exclusiveMaximum", ")")):
             upper = f"{candidate[key]:g}{closing}" if key in candidate else upper
-    return f"{lower or '(-inf'}, {upper or 'inf)'}" if lower or upper else ""
+    return parts, f"{lower or '(-inf'}, {upper or 'inf)'}" if lower or upper else ""
 
 
-def _properties(candidate: Schema, schema: Schema) -> list[dict[str, Any]]:
-    """Properties of a part of a schema, through references and alternatives."""
+def _properties(candidate: dict[str, Any], schema: dict[str, Any]) -> list[dict[str, Any]]:
+    """Properties of a part of a JSON schema, through references and alternatives."""
     if "$ref" in candidate:
         return _properties(schema["$defs"][candidate["$ref"].rsplit("/", 1)[1]], schema)
     found = [candidate["properties"]] if "properties" in candidate else []
-    for alternative in [*candidate.get("anyOf", []), *candidate.get("allOf", [])]:
-        found += _properties(alternative, schema)
+    for alternatives in ("anyOf", "oneOf", "allOf"):
+        for alternative in candidate.get(alternatives, []):
+            found += _properties(alternative, schema)
     return found
+
+
+def _unit(field: str) -> str:
+    """Unit of a field, from the ending of its name."""
+    endings = [ending for ending in UNITS if field.endswith(ending)]
+    return UNITS[max(endings, key=len)] if endings else ""

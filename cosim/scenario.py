@@ -18,26 +18,9 @@ from ..network.source import AnyFixSource, FixSource
 from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
 from ..sins.settings import Settings
+from .mistakes import shortened, told_mistakes
 
 SCENARIO_FOLDER = resources.files("fleetalign.scenarios")
-UNITS = {
-    "_deg": "deg",
-    "_deg_h": "deg/h",
-    "_deg_sqrt_h": "deg/sqrt(h)",
-    "_deg_h_g": "deg/h/g",
-    "_arcsec": "arcsec",
-    "_arcmin": "arcmin",
-    "_ug": "ug",
-    "_ug_sqrt_hz": "ug/sqrt(Hz)",
-    "_ppm": "ppm",
-    "_mps": "m/s",
-    "_mps2": "m/s^2",
-    "_m": "m",
-    "_s": "s",
-    "_ms": "ms",
-    "_hz": "Hz",
-}
-"""What the endings of field names stand for; the longest that fits counts."""
 
 
 class ScenarioError(ValueError):
@@ -182,7 +165,7 @@ def load_scenario(name_or_path: str) -> tuple[str, Scenario]:
             why = f"cannot be read: {error.strerror}"
             if path.suffix != ".toml":
                 why = f"neither a bundled scenario ({', '.join(scenario_names())}) nor a .toml file"
-            raise ScenarioError(f"{_shortened(name_or_path)}: {why}") from error
+            raise ScenarioError(f"{shortened(name_or_path)}: {why}") from error
         except UnicodeDecodeError as error:
             raise ScenarioError(f"{name_or_path}: not UTF-8 text, at byte {error.start}") from error
     try:
@@ -213,70 +196,4 @@ def _validated(file: str, content: dict[str, Any], folder: Path) -> Scenario:
     try:
         return Scenario.model_validate(content, context={"folder": folder})
     except ValidationError as error:
-        lines = [_told(file, mistake) for mistake in error.errors(include_url=False)]
-        raise ScenarioError("\n".join(lines)) from error
-
-
-def _told(file: str, mistake: Any) -> str:
-    """One line for one of pydantic's errors: file, field, value, unit, what is allowed."""
-    parts, allowed = _declared(mistake["loc"])
-    field = ".".join(parts) or "scenario"
-    value, kind = mistake["input"], mistake["type"]
-    if kind in ("missing", "extra_forbidden"):
-        return f"{file}: {field}: {'missing' if kind == 'missing' else 'unknown field'}"
-    unit = _unit(field)
-    shown = f" = {_shortened(repr(value))} {unit}".rstrip() if not isinstance(value, dict) else ""
-    told = mistake["msg"].removeprefix("Value error, ")
-    if kind == "union_tag_invalid":
-        return (
-            f"{file}: {field}.kind = {mistake['ctx']['tag']!r}: allowed are {mistake['ctx']['expected_tags']}"
-        )
-    if allowed:
-        told = f"allowed is {allowed} {unit}".rstrip()
-    return f"{file}: {field}{shown}: {told}"
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def _declared(location: tuple[str | int, ...]) -> tuple[list[str], str]:
-    """Field names of a location in the schema (tags of alternatives dropped), and the range it declares."""
-    schema = Scenario.model_json_schema()
-    candidates, parts = [schema], []
-    for part in location:
-        declared = [p for c in candidates for p in _properties(c, schema)]
-        nested = [p[part] for p in declared if part in p]
-        candidates = nested or candidates
-        # What is not a property is an index, an unknown field, or the tag of an alternative: drop the tag.
-        tags = [p["kind"].get("const") for p in declared if "kind" in p]
-        if nested or part not in tags:
-            parts.append(str(part))
-    lower, upper = "", ""
-    for candidate in candidates:
-        if "minimum" in candidate or "exclusiveMinimum" in candidate:
-            closed = "minimum" in candidate
-            lower = f"{'[' if closed else '('}{candidate['minimum' if closed else 'exclusiveMinimum']:g}"
-        if "maximum" in candidate or "exclusiveMaximum" in candidate:
-            closed = "maximum" in candidate
-            upper = f"{candidate['maximum' if closed else 'exclusiveMaximum']:g}{']' if closed else ')'}"
-    if not (lower or upper):
-        return parts, ""
-    return parts, f"{lower or '(-inf'}, {upper or 'inf)'}"
-
-
-def _properties(candidate: dict[str, Any], schema: dict[str, Any]) -> list[dict[str, Any]]:
-    """Properties of a part of a JSON schema, through references and alternatives."""
-    if "$ref" in candidate:
-        return _properties(schema["$defs"][candidate["$ref"].rsplit("/", 1)[1]], schema)
-    found = [candidate["properties"]] if "properties" in candidate else []
-    for alternatives in ("anyOf", "oneOf", "allOf"):
-        for alternative in candidate.get(alternatives, []):
-            found += _properties(alternative, schema)
-    return found
-
-
-def _unit(field: str) -> str:
-    """Unit of a field, from the ending of its name."""
-    endings = [ending for ending in UNITS if field.endswith(ending)]
-    return UNITS[max(endings, key=len)] if endings else ""
+        raise ScenarioError(told_mistakes(file, error, Scenario, "scenario")) from error

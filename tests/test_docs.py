@@ -13,9 +13,10 @@ from fleetalign.aircraft.airframe import airframe_names
 from fleetalign.align.filters import FILTERS
 from fleetalign.cosim import cli, outputs, score
 from fleetalign.cosim.bound import bounds_of
+from fleetalign.cosim.mistakes import UNITS
 from fleetalign.cosim.network_score import NetworkScorer
 from fleetalign.cosim.run import simulate
-from fleetalign.cosim.scenario import UNITS, load_scenario, replaced
+from fleetalign.cosim.scenario import load_scenario, replaced
 from fleetalign.cosim.variants import run_variants
 from fleetalign.sins import attitude, earth, error_model
 from fleetalign.sins.error_model import ACCEL, GYRO, MISALIGN
