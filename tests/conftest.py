@@ -28,6 +28,7 @@ from fleetalign.cosim.scenario import load_scenario, replaced
 from fleetalign.network.localization.problem import NodeOutcome
 from fleetalign.network.record import FixFate, NetworkRecord
 from fleetalign.sins import earth
+from matplotlib.figure import Figure
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -55,6 +56,12 @@ def command(monkeypatch, capfd):
         return exit_.value.code, out, err
 
     return call
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Figures of reports stay empty: to draw them is most of the work of a short run."""
+    monkeypatch.setattr(Figure, "savefig", lambda figure, file, **how: file.write("<svg></svg>"))
 
 
 @pytest.fixture(scope="session")

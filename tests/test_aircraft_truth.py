@@ -93,15 +93,10 @@ def replayed(flight: Flight) -> tuple[float, float, float]:
     return misalignment.max() / ARCSEC, velocity.max(), position.max()
 
 
-@pytest.fixture(scope="module")
-def whole_flight() -> Flight:
-    return fly(FlightPlan())
-
-
-def test_a_perfect_imu_returns_to_the_truth_over_the_whole_flight(whole_flight):
-    assert whole_flight.time[-1] == pytest.approx(545.0)
-    assert whole_flight.dt == pytest.approx(0.01)
-    arcsec, velocity, position = replayed(whole_flight)
+def test_a_perfect_imu_returns_to_the_truth_over_the_whole_flight(flight):
+    assert flight.time[-1] == pytest.approx(545.0)
+    assert flight.dt == pytest.approx(0.01)
+    arcsec, velocity, position = replayed(flight)
     assert arcsec < 0.01
     assert velocity < 1e-3
     assert position < 0.1
@@ -134,8 +129,8 @@ def test_a_fast_perfect_imu_returns_to_the_truth_in_turbulence():
         assert position < 1.0
 
 
-def test_the_wrong_gravity_model_drifts(whole_flight):
-    _, _, position = replayed(replace(whole_flight, gravity=earth.GravityModel.SOMIGLIANA))
+def test_the_wrong_gravity_model_drifts(flight):
+    _, _, position = replayed(replace(flight, gravity=earth.GravityModel.SOMIGLIANA))
     assert position > 1.0
 
 
@@ -173,16 +168,16 @@ def test_increments_of_a_body_at_rest_on_the_earth():
     assert dv[1:] == pytest.approx(np.tile(f_b * 4 * dt, (5, 1)), abs=1e-10)
 
 
-def test_load_factor_and_bank_are_the_motions(whole_flight):
-    level = whole_flight.phase("level")
-    rows = whole_flight.window(level.start_s, level.end_s)
+def test_load_factor_and_bank_are_the_motions(flight):
+    level = flight.phase("level")
+    rows = flight.window(level.start_s, level.end_s)
     assert rows.load_factor == pytest.approx(np.full(len(rows.time), 1.0), abs=0.01)
     assert np.degrees(rows.bank) == pytest.approx(np.zeros(len(rows.time)), abs=0.5)
 
 
-def test_interpolation(whole_flight):
-    s = whole_flight.phase("s_maneuver")
-    fine = whole_flight.window(s.start_s, s.end_s)
+def test_interpolation(flight):
+    s = flight.phase("s_maneuver")
+    fine = flight.window(s.start_s, s.end_s)
     names = ("time", "lla", "v_n", "q_nb", "dtheta_b", "dv_b")
     coarse = replace(fine, **{name: getattr(fine, name)[::2] for name in names})
     assert coarse.dt == pytest.approx(0.02)
@@ -217,17 +212,17 @@ def test_interpolation_across_the_antimeridian():
     assert np.abs(earth.displacement_n(at_rows, across.lla)).max() < 1e-6
 
 
-def test_window(whole_flight):
-    part = whole_flight.window(100.0, 110.0)
+def test_window(flight):
+    part = flight.window(100.0, 110.0)
     assert (part.time[0], part.time[-1], len(part.time)) == (pytest.approx(100.0), pytest.approx(110.0), 1001)
     assert not part.dtheta_b[0].any()
     assert not part.dv_b[0].any()
-    row = np.searchsorted(whole_flight.time, 99.999)
-    assert whole_flight.dv_b[row].any()
-    assert part.dv_b[1:].tobytes() == whole_flight.dv_b[row + 1 : row + 1001].tobytes()
+    row = np.searchsorted(flight.time, 99.999)
+    assert flight.dv_b[row].any()
+    assert part.dv_b[1:].tobytes() == flight.dv_b[row + 1 : row + 1001].tobytes()
     assert replayed(part)[2] < 1e-3
-    assert part.phases == whole_flight.phases
+    assert part.phases == flight.phases
     with pytest.raises(ValueError, match="fewer than two rows"):
-        whole_flight.window(100.0, 100.001)
+        flight.window(100.0, 100.001)
     with pytest.raises(KeyError, match="no phase 'landing'"):
-        whole_flight.phase("landing")
+        flight.phase("landing")
