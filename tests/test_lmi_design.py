@@ -50,7 +50,7 @@ def test_without_delay_the_gain_is_the_kalman_filters(prompt, made):
 def test_gamma_is_above_the_exact_gains(made):
     found = made[False, Kind.L2LINF]
     exact = found.analyses[0]
-    assert exact.peak_deterministic <= exact.peak_adapted * (1 + 1e-7)
+    assert exact.peak_deterministic <= exact.peak_adapted
     assert exact.peak_adapted * (1 + 1e-4) < found.gamma < exact.peak_adapted * 1.02
 
 
@@ -90,7 +90,7 @@ def test_any_plant(n, m, rho):
     plant = Plant(A, B, rng.normal(size=(m, n)), D, rng.normal(size=(2, n)), rho)
     found = design(plant, use_cache=False)
     exact = found.analyses[0]
-    assert exact.peak_deterministic <= exact.peak_adapted * (1 + 1e-6) <= found.gamma * (1 + 2e-6)
+    assert exact.peak_deterministic <= exact.peak_adapted * (1 + 1e-6) <= found.gamma * (1 + 2e-5)
     assert found.gamma < 1.2 * exact.peak_adapted
     assert design(plant, Kind.THEOREM2, use_cache=False).gamma == pytest.approx(found.gamma, rel=1e-4)
     assert design(plant, Kind.H2, use_cache=False).gamma == pytest.approx(lmmse(plant).rms, rel=1e-4)
@@ -104,7 +104,7 @@ def test_gain_that_corrects_the_state_needs_no_stable_plant(rho):
     least = np.sqrt(np.linalg.eigvalsh(P)[-1])
     found = design(plant, Kind.FEEDBACK, use_cache=False)
     assert found.analyses[0].simulation_agrees
-    assert found.gamma >= found.analyses[0].peak_adapted * (1 - 1e-6)
+    assert found.gamma >= found.analyses[0].peak_adapted * (1 - 1e-5)
     if rho == 1:
         assert found.gamma == pytest.approx(least, rel=1e-6)
     else:

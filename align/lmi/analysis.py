@@ -22,13 +22,16 @@ from scipy.optimize import minimize_scalar
 
 from . import _game
 from .plant import Array, Augmented, Filter, Plant
+from .simulation import simulated_errors
 
-TOLERANCE = 1e-6
+TOLERANCE = 1e-5
 """Relative, of squares of gains; also the part of them that a recursion may leave out when it ends."""
 ENERGY_TOLERANCE = 1e-3
 """The same for energy gains against adapted disturbances: near the gain their recursion hardly moves."""
 MOST_STEPS = 50_000
 FREQUENCIES = 2_000
+SIMULATED = 2_000, 200
+"""Runs and steps of the simulation."""
 
 
 @dataclass(frozen=True)
@@ -267,36 +270,19 @@ def analyze(plant: Plant, filter_: Filter, fed_back: bool = False, energy: bool 
         energy_gain(loop, adapted=False) if energy else None,
         energy_gain(loop, adapted=True) if energy else None,
         float(np.sqrt(np.trace(loop.error_covariance))),
-        *simulated_rms(plant, filter_, loop, fed_back),
+        *_simulated_rms(plant, filter_, loop, fed_back),
     )
 
 
-def simulated_rms(
-    plant: Plant, filter_: Filter, loop: ClosedLoop, fed_back: bool, runs: int = 2_000, steps: int = 200
+def _simulated_rms(
+    plant: Plant, filter_: Filter, loop: ClosedLoop, fed_back: bool
 ) -> tuple[float, float, float]:
-    """Error at the last of some steps from rest, under white noise: simulated, its standard error, expected.
-
-    Simulated are the plant and the filter as they stand in eqs. (10) and (11), late outputs and all; expected
-    is what ``loop`` makes of the covariance.
-    """
-    rng = np.random.default_rng(1)
-    n, width, m, _ = plant.shape
-    x, x_f, y_before = np.zeros((runs, n)), np.zeros((runs, filter_.order)), np.zeros((runs, m))
-    P, e = np.zeros_like(loop.A0), np.zeros((runs, len(plant.H)))
-    for step in range(steps):
-        w = rng.standard_normal((runs, width))
-        y = x @ plant.C.T + w @ plant.D.T
-        received = np.where(rng.random((runs, 1)) < plant.rho, y, y_before)
-        if step == steps - 1:
-            e = x @ plant.H.T
-            e = e if fed_back else e - x_f @ filter_.Cf.T - received @ filter_.Df.T
-        else:
-            P = loop.carried(P)
-        x_f = x_f @ filter_.Af.T + received @ filter_.Bf.T
-        x, y_before = x @ plant.A.T + w @ plant.B.T, y
-        if fed_back:
-            x = x - received @ filter_.Bf.T
-    square = (e**2).sum(axis=1)
+    """RMS of the simulated error, its standard error, and the RMS by the covariance of ``loop``."""
+    runs, steps = SIMULATED
+    square = (simulated_errors(plant, filter_, fed_back, runs, steps) ** 2).sum(axis=1)
     rms = float(np.sqrt(square.mean()))
+    P = np.zeros_like(loop.A0)
+    for _ in range(steps - 1):
+        P = loop.carried(P)
     sd = float(square.std() / np.sqrt(runs) / (2 * rms)) if rms > 0 else 0.0
     return rms, sd, float(np.sqrt(np.trace(loop.error_of(P))))

@@ -155,9 +155,11 @@ def _designed(vertices: tuple[Plant, ...], kind: Kind, order: int) -> Design:
     try:
         status = solve(cp.Problem(cp.Minimize(g), [part for form in closed for part in inequality(form, g)]))
     except DesignError as error:
-        if error.outcome is Outcome.INACCURATE and len(vertices) > 1:
-            # At a margin of STRICT the solver may not see that there is no solution; at one of 1 it does. For
-            # one vertex there always is one.
+        if len(vertices) == 1 and error.outcome is Outcome.INFEASIBLE:
+            told = "CLARABEL says infeasible, but one vertex always has a solution"
+            raise DesignError(Outcome.INACCURATE, told) from error
+        if len(vertices) > 1 and error.outcome is Outcome.INACCURATE:
+            # At a margin of STRICT the solver may not see that there is no solution; at one of 1 it does.
             solve(cp.Problem(cp.Minimize(0), [settling(form) for form in closed]))
         raise
     gamma = wanted * float(np.sqrt(solved(g)))
