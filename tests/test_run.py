@@ -85,6 +85,14 @@ def test_covariance_is_that_of_the_errors(scores, name):
     assert low < scores[name].mean_nees[-1] < high
 
 
+def test_covariance_is_that_of_the_errors_from_the_first_second_on(scores):
+    # A band that all 400 times together leave with a chance below 0.4 %.
+    low, high = mean_band(3, RUNS, 1 - 1e-5)
+    mean = scores["ekf_stamped"].mean_nees[10:]
+    assert low < mean.min()
+    assert mean.max() < high
+
+
 def test_ekf_is_overconfident(scores):
     assert scores["ekf"].mean_nees[-1] > 2 * mean_band(3, RUNS)[1]
     assert scores["ekf"].mean_nis > 6.5
