@@ -162,13 +162,28 @@ def test_schedule_levels_and_finds_the_heading_in_turns(record, scheduled):
     roll, pitch, heading = errors(found, record)
     assert max(roll, pitch) < 1200
     assert heading < 60
-    # Velocities that are 25 ms late are up to 0.15 m/s off in a turn, and the gain for position is a slow one.
+    # Velocities 25 ms late are up to 0.15 m/s off in a turn, and the gain for position is a slow one.
     assert np.abs(earth.displacement_n(record[3].lla[-1], found.lla[-1])).max() < 40
     assert np.abs(found.v_n[-1] - record[3].v_n[-1]).max() < 0.3
     assert np.isnan(found.sd).all()
     assert np.isnan(found.misalignment_cov).all()
     assert found.fix_outcome[0] == FixOutcome.INITIALIZED
     assert found.count(FixOutcome.FUSED) == len(fixes) - 1
+
+
+def test_a_first_fix_that_is_off_is_forgotten(record, level):
+    """On the level and straight, with an attitude that is right; 100 m fade by a third in 40 s."""
+    n = 4000
+    time, nothing = 0.01 * np.arange(n), np.zeros((n, 3))
+    dv = np.tile([0.0, 0.0, -0.0979], (n, 1))
+    start = NavigationState(record[3].lla[0], record[3].v_n[0], record[3].q_nb[0])
+    truth = mechanize(time, nothing, dv, start, GRAVITY)
+    fixes = fixes_of(time, truth, np.random.default_rng(4))
+    R_N, R_E = earth.radii_of_curvature(fixes.lla[0, 0])
+    fixes.lla[0] += np.array([100 / R_N, 100 / (R_E * np.cos(fixes.lla[0, 0])), -100])
+    found = align_lmi(time, nothing, dv, truth.q_nb[0], fixes, level, FilterSettings(), GRAVITY)
+    error = earth.displacement_n(found.lla[-1], truth.lla[-1])
+    assert (np.abs(error) < 80).all()
 
 
 def test_constant_gain_leaves_the_heading(record, level):
