@@ -28,6 +28,8 @@ class Size:
     """Alignment runs."""
     scaling_runs: int = 100
     """Alignment runs of each repetition that compares numbers of cores."""
+    coarse_runs: int = 200
+    """Alignment runs from any heading."""
     nodes: int = 1_000_000
     """Nodes of the largest network to locate."""
     network_s: float = 560.0
@@ -43,6 +45,7 @@ QUICK = Size(
     oracle_samples=200,
     runs=8,
     scaling_runs=4,
+    coarse_runs=2,
     nodes=5_000,
     network_s=5.0,
     changes={

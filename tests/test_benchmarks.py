@@ -6,7 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fleetalign.align.filters import FILTERS, align
+from fleetalign.cosim.run import simulate
+from fleetalign.cosim.scenario import replaced
 from fleetalign.sins import attitude
+from fleetalign.sins.earth import GravityModel
+from fleetalign.sins.imu import ImuErrors
 from fleetalign.sins.mechanization import mechanize
 from rich.progress import Progress
 
@@ -20,7 +24,9 @@ def benchmarks(flight_cache):
         patch.syspath_prepend(str(ROOT))
         import benchmarks
         import benchmarks.__main__
+        import benchmarks.coarse
         import benchmarks.harness
+        import benchmarks.invariant_filter
         import benchmarks.material
         import benchmarks.numpy_filter
         import benchmarks.peers
@@ -38,11 +44,20 @@ def test_quick_run_writes_the_table(benchmarks, tmp_path):
     assert benchmarks.__main__.main(["--quick", "--out", str(out)]) == 0
     text = out.read_text("utf-8")
     rows = [line for line in text.splitlines() if line.startswith("| ")]
-    assert len(rows) == 2 + 20
+    assert len(rows) == 2 + 29
     assert all(row.count("|") == 7 for row in rows)
     assert "python -m benchmarks --quick" in text
     assert f"- numpy: {np.__version__}" in text
-    for name in (*FILTERS, "Mechanisation", "flight", "runs", "gtsam", "filterpy", "sidereon"):
+    for name in (
+        *FILTERS,
+        "Mechanisation",
+        "flight",
+        "runs",
+        "left-invariant",
+        "gtsam",
+        "filterpy",
+        "sidereon",
+    ):
         assert any(name in row for row in rows), name
 
 
@@ -55,6 +70,59 @@ def test_numpy_filter_is_the_compiled_one(benchmarks, material, name):
     assert np.max(np.abs(phi) / ours.sd[-1, 6:9]) < 1e-3
     assert np.max(np.abs(ours.v_n[-1] - reference.navigation.v_n) / ours.sd[-1, 3:6]) < 1e-3
     assert np.sqrt(np.diag(reference.P)) == pytest.approx(ours.sd[-1], rel=1e-3, abs=1e-12)
+
+
+@pytest.mark.parametrize("error", ["RIGHT", "LEFT"])
+def test_invariant_error_is_linear_however_large(benchmarks, error):
+    """Two navigators, one of them 2 rad, 50 m/s and 300 m off, get the same increments."""
+    module = benchmarks.invariant_filter
+    rng, kind = np.random.default_rng(4), module.Error[error]
+    e = np.concatenate([[1.0, -1.2, 1.3], [30.0, -40.0, 5.0], [200.0, 200.0, -100.0]])[None]
+    off = _on_the_group(module, e)
+    X = np.eye(5)[None]
+    X[:, :3] = np.concatenate([attitude.to_dcm([[0.8, 0.0, 0.6, 0.0]]), rng.normal(size=(1, 3, 2))], axis=2)
+    zero, P = np.zeros((1, 3)), np.zeros((1, 15, 15))
+    beliefs = [
+        module.Belief(Y[:, :3, :3], Y[:, :3, 3], Y[:, :3, 4], zero, zero, P)
+        for Y in (X, off @ X if error == "RIGHT" else X @ off)
+    ]
+    single = module.InvariantFilter(kind, 3.0, 104.0, ImuErrors(), GravityModel.J2)
+    for _ in range(100):
+        turn = attitude.to_dcm(attitude.from_rotvec(0.02 * rng.normal(size=(1, 3))))
+        step = turn, rng.normal(size=(1, 3)), np.array([[0.0, 0.0, 9.8]]), 0.05
+        _, Phi = (single.predict(belief, *step) for belief in beliefs)
+        e = module.apply(Phi[:, :9, :9], e)
+    for belief, Y in zip(beliefs, ends := np.tile(np.eye(5), (2, 1, 1)), strict=True):
+        Y[:3] = np.column_stack([belief.C[0], belief.v[0], belief.p[0]])
+    true, computed = ends
+    found = computed @ np.linalg.inv(true) if error == "RIGHT" else np.linalg.inv(true) @ computed
+    np.testing.assert_allclose(found, _on_the_group(module, e)[0], atol=1e-9, rtol=1e-9)
+
+
+def _on_the_group(module, e):
+    """Exp of e (1, 9) as a matrix of SE_2(3)."""
+    X = np.eye(5)[None]
+    X[:, :3, :3], J = module.exp(e[:, :3])
+    X[:, :3, 3], X[:, :3, 4] = module.apply(J, e[:, 3:6]), module.apply(J, e[:, 6:])
+    return X
+
+
+@pytest.mark.parametrize("error", ["PLAIN", "RIGHT", "LEFT"])
+def test_invariant_filter_ends_where_the_compiled_one_does(benchmarks, stated, flight, window, error):
+    scenario = replaced(stated, {"fixes.delay": {"kind": "none"}, "alignment.filters": ["ekf_stamped"]})
+    run = simulate(scenario, flight, 0, 7)
+    module, settings = benchmarks.invariant_filter, scenario.alignment.settings
+    single = module.InvariantFilter(
+        module.Error[error], settings.level_sd_deg, settings.heading_sd_deg, scenario.imu, window.gravity
+    )
+    theirs = single.align(benchmarks.coarse.records_of([run], 0.05))
+    ours = run.estimates["ekf_stamped"]
+    cov = theirs.misalignment_cov[0, -1]
+    phi = attitude.misalignment(ours.q_nb[-1], theirs.q_nb[0, -1])
+    # They linearise in other places, from a start 10 deg off: a part of a standard deviation.
+    assert np.max(np.abs(phi) / ours.sd[-1, 6:9]) < 0.4
+    assert np.max(np.abs(ours.v_n[-1] - theirs.v_n[0, -1]) / ours.sd[-1, 3:6]) < 0.4
+    assert np.sqrt(np.diag(cov)) == pytest.approx(ours.sd[-1, 6:9], rel=0.05)
 
 
 def test_resampled_record_ends_where_the_flight_does(benchmarks, material):
