@@ -58,9 +58,7 @@ def bound(
     time (n,), dtheta_b (n, 3), dv_b (n, 3) : ideal record; q_nb (4,) : true attitude at its start.
     fixes : the fixes as sent, with their covariances and times.
     antenna_at : true lla (k, 3) and v_n (k, 3) of the antenna at times (k,) of the record.
-    stamps_known : whether fixes count from the time of their validity on, or nothing but their arrival and
-    the
-        prior of ``settings.delay_mean_sd_ms`` about the mean of the delays is known.
+    knowledge : what the estimator has of the fixes.
     settings, imu, gravity : as for `filters.align`.
     """
     coarse_known = settings.model_copy(update={"coarse_stage": "none"})
@@ -69,7 +67,7 @@ def bound(
         lla, v_n = antenna_at(fixes.t_valid)
         exact = replace(fixes, lla=lla, v_n=v_n, t_stamp=fixes.t_valid, t_arrival=fixes.t_valid)
         if knowledge is Knowledge.SMOOTHED:
-            return smooth(*record, exact, coarse_known, imu, gravity)
+            return smooth(*record, exact, coarse_known, imu, gravity, relinearized=False)
         return align(*record, exact, DelayModel.STAMPED, coarse_known, imu, gravity)
     delay = fixes.t_arrival - fixes.t_valid
     mean, sd = (float(np.mean(delay)), float(np.std(delay))) if len(delay) else (0.0, 0.0)

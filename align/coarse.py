@@ -56,7 +56,10 @@ def align_in_motion(problem: Problem) -> CoarseAttitude | None:
     """The first attitude that is good enough, or None if the motion never told it.
 
     Fixes count in order of arrival, from the time that the delay model takes for that of their validity; the
-    attitude that ``problem`` states is not looked at.
+    attitude that ``problem`` states is not looked at. Neglected: biases, so that a poor gyro must not take
+    long; the error of a mean delay that is not told, which lies along the acceleration; outliers. Where
+    gravity and the axes of the start are taken from may be a fix that has not arrived yet: metres of it do
+    not matter.
     """
     lla, v_n, cov, t_reference, arrival_epoch, _, packet, _, _ = problem.reception
     delay = problem.initial[6] if problem.delay is DelayModel.ESTIMATED else 0.0

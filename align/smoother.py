@@ -41,18 +41,23 @@ def smooth(
     settings: FilterSettings,
     imu: ImuErrors,
     gravity: GravityModel,
+    relinearized: bool = True,
 ) -> Estimate:
     """Smooth over one record. Parameters and errors are those of `filters.align`; stamps are trusted.
 
     Returns the smoothed states with their covariance; innovations, NIS and outcomes are those of the filter
     that went forward, to which no fix of the record comes too late. A restart of the filter divides the
     record.
+
+    ``relinearized``: whether to go twice, which a record that begins with the true attitude has no need of.
     """
     problem = pose(time, dtheta_b, dv_b, q_nb_coarse, fixes, DelayModel.STAMPED, settings, imu, gravity)
     received = problem.outcome.copy()
     filtered, kept = _filtered(problem)
     if filtered.outcome is not RunOutcome.ALIGNED:
         return filtered
+    if not relinearized:
+        return _smoothed(problem, filtered, kept)
     first = problem.reception.reference_epoch[_applied(problem)[:1]]
     X, variance, _ = _back(problem, kept, first)
     correction = attitude.multiply(X[0, 6:10], attitude.conjugate(kept[0][first[0], 6:10]))
@@ -64,6 +69,10 @@ def smooth(
     filtered, kept = _filtered(problem)
     if filtered.outcome is not RunOutcome.ALIGNED:
         return filtered
+    return _smoothed(problem, filtered, kept)
+
+
+def _smoothed(problem: Problem, filtered: Estimate, kept: tuple[Array, Array]) -> Estimate:
     X, variance, misalignment_cov = _back(problem, kept, problem.output_epoch)
     return replace(filtered, **state_columns(X), sd=np.sqrt(variance), misalignment_cov=misalignment_cov)
 

@@ -23,7 +23,7 @@ from .command_line import (
 )
 from .terminal import out_console, progress_bar
 
-TIMES_SHOWN = 8
+TIMES_SHOWN = 6
 """Columns of the table on the terminal."""
 
 
@@ -72,14 +72,17 @@ def bound(
     if as_json:
         typer.echo(json.dumps(summary, indent=2, allow_nan=False))
     elif not quiet:
-        times = range(0, round(summary["after_s"]) + 1, max(1, round(summary["after_s"] / TIMES_SHOWN)))[1:]
+        end = float(window.time[-1] - window.time[0])
+        times = end * np.arange(1, TIMES_SHOWN + 1) / TIMES_SHOWN
         for key, estimate in bounds.items():
-            table = Table(title=Text(f"{settings.title}: bound, {key.replace('_', ' ')}"), box=SIMPLE_HEAD)
-            table.add_column("after")
-            rows = np.searchsorted(estimate.time - window.time[0], np.array(times) - 1e-6)
+            title = Text(f"bound, {key.replace('_', ' ')}")
+            table = Table(title=title, box=SIMPLE_HEAD, pad_edge=False, padding=0)
+            table.add_column("after", no_wrap=True)
+            rows = np.searchsorted(estimate.time - window.time[0], times - 0.05)
             for time in times:
-                table.add_column(f"{time} s", justify="right")
+                table.add_column(f"{time:.0f} s", justify="right", no_wrap=True)
             for label, values in zip(STATES.values(), states_of(window, estimate)[rows].T, strict=True):
-                table.add_row(label, *(f"{value:.3g}" for value in values))
+                if np.isfinite(values).any():
+                    table.add_row(label, *(f"{value:.3g}" for value in values))
             out_console.print(table)
         out_console.print(str(folder / "bound.html"), soft_wrap=True)

@@ -12,11 +12,12 @@ from matplotlib.figure import Figure
 from ..aircraft.flight import Flight
 from ..align.bound import Knowledge
 from ..align.estimate import Array, Estimate
-from ..align.measurement import DELAY
+from ..align.measurement import DELAY, LEVER
 from ..sins.error_model import ACCEL, GYRO, POSITION, VELOCITY
 from ..sins.units import DEG_PER_HOUR, MICRO_G, MILLISECOND
 from .drawing import STYLE, legend, log_scale, panels, svg
 from .figures import BOUND_NAMES
+from .network_score import plain
 from .outputs import write_parquet
 from .pages import write_page
 from .report import to_toml
@@ -40,6 +41,9 @@ STATES = {
     "gyro_bias_y_deg_h": "gyro y, deg/h",
     "gyro_bias_z_deg_h": "gyro z, deg/h",
     "delay_ms": "delay, ms",
+    "lever_arm_x_m": "lever arm x, m",
+    "lever_arm_y_m": "lever arm y, m",
+    "lever_arm_z_m": "lever arm z, m",
 }
 """States of the bound, with their units, and what tables and figures call them."""
 _PANELS = {
@@ -55,11 +59,16 @@ _COLORS = ("#D55E00", "#3D8FD1", "#009E73")
 
 
 def states_of(window: Flight, bound: Estimate) -> Array:
-    """Standard deviations over time of the states in the order and the units of `STATES`, (m, 16)."""
+    """Standard deviations over time of the states in the order and the units of `STATES`, (m, 19).
+
+    NaN for what is no state: a delay that stamps tell, a lever arm that is known.
+    """
     attitude_sd = standard_deviations(window, bound, 0.0)[:, :3]
     sd = bound.sd
-    scaled = [sd[:, ACCEL] / MICRO_G, sd[:, GYRO] / DEG_PER_HOUR, sd[:, [DELAY]] / MILLISECOND]
-    return np.hstack([sd[:, POSITION], sd[:, VELOCITY], attitude_sd, *scaled])
+    delay = np.where(sd[:, [DELAY]] > 0, sd[:, [DELAY]] / MILLISECOND, np.nan)
+    arm = sd[:, LEVER] if sd.shape[1] > LEVER.start else np.full((len(sd), 3), np.nan)
+    biases = [sd[:, ACCEL] / MICRO_G, sd[:, GYRO] / DEG_PER_HOUR]
+    return np.hstack([sd[:, POSITION], sd[:, VELOCITY], attitude_sd, *biases, delay, arm])
 
 
 def summarize_bounds(
@@ -72,7 +81,7 @@ def summarize_bounds(
         "seed": scenario.seed,
         "draws": draws,
         "after_s": round(float(window.time[-1] - window.time[0]), 6),
-        "bound": {key: dict(zip(STATES, map(float, end), strict=True)) for key, end in ends.items()},
+        "bound": {key: plain(dict(zip(STATES, end.tolist(), strict=True))) for key, end in ends.items()},
     }
 
 

@@ -1,4 +1,4 @@
-"""The figures of the report of `maneuver`, as SVG text: blue the paper's S, orange the best manoeuvre."""
+"""The figures of the report of `maneuver`, as SVG text: blue the scenario's S, orange the best manoeuvre."""
 
 import matplotlib as mpl
 import numpy as np

@@ -20,7 +20,7 @@ from .report import to_toml
 from .scenario import Scenario
 from .score import COLUMNS, bootstrap_rms_interval
 
-NAMES = {"s": "the paper's S", "best": "best manoeuvre"}
+NAMES = {"s": "the scenario's S", "best": "best manoeuvre"}
 TARGET = {"level_arcsec": 8.0, "heading_arcmin": 0.2}
 
 

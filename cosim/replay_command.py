@@ -62,8 +62,23 @@ def replay(
     elif not quiet:
         out_console.print(_table(done, summary))
         out_console.print(repairs(summary))
+        for line in doubts(summary):
+            out_console.print(line, style="red")
         for kind in ("report.html", "recording.rrd"):
             out_console.print(str(folder / kind), soft_wrap=True)
+
+
+def doubts(summary: dict[str, Any]) -> list[str]:
+    """What speaks against the filters' estimates, a line each."""
+    lines = []
+    for name, row in summary["filters"].items():
+        fixes = row["fixes"]
+        refused, all_fixes = fixes["gated"], sum(fixes.values())
+        if refused > 0.5 * all_fixes:
+            lines.append(f"{name}: refused {refused} of {all_fixes} fixes: wrong units, axes or error budget")
+        elif row["nis"] is not None and not row["nis_band95"][0] <= row["nis"] <= row["nis_band95"][1]:
+            lines.append(f"{name}: NIS outside its band: noise of the fixes is not as stated, or not white")
+    return lines
 
 
 def _table(done: "Replay", summary: dict[str, Any]) -> Table:
@@ -76,8 +91,12 @@ def _table(done: "Replay", summary: dict[str, Any]) -> Table:
         if row["outcome"] != "aligned" or not row["updates"]:
             table.add_row(name, str(row["updates"]), row["outcome"])
             continue
-        low, high = row["nis_band95"]
         angles = [row["final"][f"{angle}_deg"] for angle in ("roll", "pitch", "heading")]
-        told = [f"{angle['value']:.2f} ± {angle['sd']:.2f}" for angle in angles]
-        table.add_row(name, str(row["updates"]), f"{row['nis']:.2f}", f"{low:.2f}-{high:.2f}", *told)
+        told = [f"{a['value']:.2f}" + ("" if a["sd"] is None else f" ± {a['sd']:.2f}") for a in angles]
+        # A constant gain has no covariance to be judged by.
+        judged = ("", "")
+        if row["nis"] is not None:
+            low, high = row["nis_band95"]
+            judged = (f"{row['nis']:.2f}", f"{low:.2f}-{high:.2f}")
+        table.add_row(name, str(row["updates"]), *judged, *told)
     return table

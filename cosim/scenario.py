@@ -71,6 +71,15 @@ class AlignmentSettings(Settings):
             raise ValueError(f"at least one of: {', '.join(METHODS)}")
         return tuple(dict.fromkeys(names))
 
+    @model_validator(mode="after")
+    def _heading_is_found_or_told(self) -> "AlignmentSettings":
+        if self.coarse.unknown_heading and self.settings.coarse_stage == "none":
+            raise ValueError(
+                'coarse.unknown_heading = true: needs settings.coarse_stage = "in_motion": no filter starts'
+                " from any heading"
+            )
+        return self
+
     def gravity_model(self, flown: GravityModel) -> GravityModel:
         """The navigator's gravity model, given the one that was flown in."""
         return flown if self.gravity == "flight" else GravityModel[self.gravity.upper()]

@@ -63,9 +63,9 @@ class FilterScore:
     fused : (runs,) number of fused fixes.
     delay : (runs, m) estimated mean delay, s.
     fix_outcomes : how many fixes ended in which way, over all runs.
-    failures : runs that failed, by id, with the reason: ``no_fix``, ``not_finite`` (see `RunOutcome`);
-        ``locked_out``, more than half of the fixes refused by the gate; ``diverged``, at the end no closer
-        to the true level or heading than at the start, or with a NEES beyond `FAILED_NEES`.
+    failures : runs that failed, by id, with the reason: ``no_fix``, ``not_finite``, ``no_coarse`` (see
+        `RunOutcome`); ``locked_out``, more than half of the fixes refused by the gate; ``diverged``, at the
+        end no closer to the true level or heading than at the start, or with a NEES beyond `FAILED_NEES`.
     """
 
     name: str

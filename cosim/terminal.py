@@ -53,12 +53,12 @@ def results_table(settings: "Scenario", summary: dict[str, Any]) -> Table:
     """The table of alignment errors, the paper's and the bound's beside ours."""
     table = Table(
         title=Text(
-            f"{settings.title}: RMS over {summary['runs']} runs after {settings.alignment.duration_s:g} s"
+            f"{settings.title}\nRMS over {summary['runs']} runs after {settings.alignment.duration_s:g} s"
         ),
         caption=Text(f"paper: {settings.paper.source}") if settings.paper else None,
         box=SIMPLE_HEAD,
         pad_edge=False,
-        padding=(0, 0, 0, 1),
+        padding=0,
     )
     table.add_column("", no_wrap=True)
     columns = {"roll": "arcsec", "pitch": "arcsec", "heading": "arcmin", "vE": "m/s", "vN": "m/s"}

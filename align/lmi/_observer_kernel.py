@@ -70,7 +70,9 @@ def run(time, increments, q_initial, fixes, window_s, vertices, gains, gravity_m
             R_N, R_E = radii_of_curvature(X[0])
             north, east = R_N + X[2], (R_E + X[2]) * math.cos(X[0])
             z[0] = (X[0] - fix_lla[fix, 0]) * north
-            z[1] = (X[1] - fix_lla[fix, 1]) * east
+            turned = X[1] - fix_lla[fix, 1]
+            turned -= 2 * math.pi * round(turned / (2 * math.pi))  # the date line may lie between
+            z[1] = turned * east
             z[2] = fix_lla[fix, 2] - X[2]
             for i in range(3):
                 z[3 + i] = X[3 + i] - fix_v_n[fix, i] - age[fix] * (X[3 + i] - before[i]) / dt

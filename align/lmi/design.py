@@ -1,5 +1,6 @@
 """Design a filter by a matrix inequality, and let it pass only if an independent analysis confirms it."""
 
+import threading
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -138,7 +139,9 @@ def _refuse_unstable(plant: Plant, settled: bool) -> None:
         raise DesignError(Outcome.UNDETECTABLE, f"eigenvalue {hidden:.6g} of A; a leak in it would do")
     if settled:
         raise DesignError(
-            Outcome.UNSTABLE, f"spectral radius of A = {radius:.6g}, must be below 1; a leak would do"
+            Outcome.UNSTABLE,
+            f"spectral radius of A = {radius:.6g}, must be below 1: a leak would do, or kind"
+            " feedback for states that are corrected",
         )
 
 
@@ -207,18 +210,22 @@ def _root(P: Array, M: Array) -> Array:
     return np.linalg.cholesky(P + 1e-6 * np.diag(np.where(diagonal > 0, diagonal, 1.0)))
 
 
+_SOLVING = threading.Lock()
+
+
 def solve(problem: cp.Problem) -> str:
     """Solve, and return the solver's status: ``optimal`` or ``optimal_inaccurate``.
 
     Raises `DesignError` for every other end.
     """
-    with warnings.catch_warnings():
+    # Warnings are of the whole process: one thread at a time.
+    with _SOLVING, warnings.catch_warnings():
         # "Solution may be inaccurate": the status says so as well, and the analysis decides.
         warnings.simplefilter("ignore")
         try:
             problem.solve(solver=cp.CLARABEL)
         except cp.SolverError as error:
-            raise DesignError(Outcome.INACCURATE, str(error).splitlines()[0]) from error
+            raise DesignError(Outcome.INACCURATE, "the solver gave up") from error
     status = str(problem.status)
     if problem.status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         return status

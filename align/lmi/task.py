@@ -1,6 +1,8 @@
 """What the designs of the paper's filter are made for, from what is given to align on.
 
-Figures are rounded to two digits: the gains feel no more, and designs, which are kept, serve many records.
+All of it stands for what is known before a flight: the noise that fixes will have, and how steep the
+manoeuvre will be. It is taken from the record, which holds the same. Figures are rounded to two digits: the
+gains feel no more, and designs, which are kept, serve many records.
 """
 
 import numpy as np
