@@ -1,7 +1,7 @@
 """The report's figures, as SVG text.
 
 Filters keep the colours of `palette`; the bounds are black, dashed with stamps known, dotted without,
-dash-dotted afterwards. A band spans the 5th to the 95th percentile of the runs.
+dash-dotted smoothed. A band spans the 5th to the 95th percentile of the runs.
 """
 
 from collections.abc import Mapping
@@ -61,7 +61,7 @@ _LABELS = {
 BOUND_NAMES = {
     Knowledge.STAMPED: "bound, stamps known",
     Knowledge.DELAY_UNKNOWN: "bound, delay unknown",
-    Knowledge.SMOOTHED: "bound, afterwards",
+    Knowledge.SMOOTHED: "bound, smoothed",
 }
 _MAX_POINTS = 1500
 
