@@ -3,6 +3,7 @@
 A method takes a record from a coarse attitude, or from none, to an `Estimate`.
 """
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -30,6 +31,10 @@ class Method:
     """How it treats delays."""
     in_flight: bool = True
     """Whether it runs as fixes arrive, and does not need the whole record."""
+
+
+_DESIGNING = threading.Lock()
+"""A design is kept: the first of many runs makes it, and the others wait for it."""
 
 
 def _filter(delay: DelayModel) -> Callable[..., Estimate]:
@@ -63,7 +68,8 @@ def _designed(scheduled: bool) -> Callable[..., Estimate]:
         from .lmi.task import sins_plant_settings, steepest_side_mps2
 
         side = steepest_side_mps2(time, dv_b) if scheduled else None
-        schedule = gain_schedule(sins_plant_settings(fixes, settings, imu), side)
+        with _DESIGNING:
+            schedule = gain_schedule(sins_plant_settings(fixes, settings, imu, side or 0.0), side)
         return align_lmi(time, dtheta_b, dv_b, q_nb, fixes, schedule, settings, gravity)
 
     return run

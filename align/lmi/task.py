@@ -19,7 +19,9 @@ STEEPEST = 0.95
 """Quantile of the force to the side, over a record, that the steep vertex stands for."""
 
 
-def sins_plant_settings(fixes: Fixes, settings: FilterSettings, imu: ImuErrors) -> SinsPlantSettings:
+def sins_plant_settings(
+    fixes: Fixes, settings: FilterSettings, imu: ImuErrors, side_mps2: float = 0.0
+) -> SinsPlantSettings:
     """Noise and rate of the fixes, delay and sensor errors as the filters are told them; flight as by
     default.
 
@@ -30,10 +32,11 @@ def sins_plant_settings(fixes: Fixes, settings: FilterSettings, imu: ImuErrors) 
     intervals = np.diff(np.unique(finite.t_valid))
     interval = float(np.median(intervals)) if len(intervals) else 0.1
     prompt = np.clip(1 - settings.delay_mean_ms * MILLISECOND / interval, 0.05, 1.0)
+    late = np.hypot(settings.delay_mean_ms, settings.delay_sd_ms) * MILLISECOND * side_mps2 / np.sqrt(2)
     return SinsPlantSettings(
         fix_interval_s=_two_digits(interval),
         position_sd_m=_two_digits(np.sqrt(variance[:3].mean())),
-        velocity_sd_mps=_two_digits(np.sqrt(variance[3:].mean())),
+        velocity_sd_mps=_two_digits(np.hypot(np.sqrt(variance[3:].mean()), late)),
         rho=_two_digits(prompt),
         gyro_sd_deg_h=_two_digits(np.hypot(imu.gyro_bias_deg_h, imu.gyro_bias_instability_deg_h)),
         accel_sd_ug=_two_digits(np.hypot(imu.accel_bias_ug, imu.accel_bias_instability_ug)),
