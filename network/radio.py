@@ -144,17 +144,23 @@ class Radio:
     ) -> None:
         self.settings = settings
         self.pairs = node_pairs(nodes)
-        children = dict(zip(_EFFECTS, rng.spawn(len(_EFFECTS)), strict=True))
+        children: dict[str, Generator] = dict(zip(_EFFECTS, rng.spawn(len(_EFFECTS)), strict=True))
         anchor = np.zeros(nodes, bool) if anchor is None else anchor
         self._clocks = Clocks(settings.clock, anchor, children.pop("clock"))
-        self._rngs = {effect: child.spawn(nodes) for effect, child in children.items()}
+        self._children, self._nodes = children, nodes
+        self._rngs: dict[str, list[Generator]] = {}
 
-        link_bias = settings.range_bias_sd_m * self._of_pairs("link_bias", _NORMAL, 1)[0]
-        self._shadowing = settings.shadowing_sd_db * self._of_pairs("shadowing", _NORMAL, 1)[0]
-        self._altitude_bias = settings.altitude_bias_sd_m * self._of_nodes("altitude_bias", _NORMAL, 1)[0]
+        def constant(sd: float, of: Callable[[str, _Draw, int], Array], effect: str) -> Array | float:
+            return sd * of(effect, _NORMAL, 1)[0] if sd else 0.0
+
+        link_bias = constant(settings.range_bias_sd_m, self._of_pairs, "link_bias")
+        self._shadowing = constant(settings.shadowing_sd_db, self._of_pairs, "shadowing")
+        self._altitude_bias = constant(settings.altitude_bias_sd_m, self._of_nodes, "altitude_bias")
         self.biased: Booleans = np.zeros(nodes, bool)
-        key = self._of_nodes("biased", _UNIFORM, 1)[0]
-        self.biased[np.argsort(key, kind="stable")[: round(settings.biased_nodes * nodes)]] = True
+        biased = round(settings.biased_nodes * nodes)
+        if biased:
+            key = self._of_nodes("biased", _UNIFORM, 1)[0]
+            self.biased[np.argsort(key, kind="stable")[:biased]] = True
         bias = settings.node_bias_m * self.biased
         self._range_bias: Array = link_bias + bias[self.pairs[:, 0]] + bias[self.pairs[:, 1]]
         self._detours = Held(settings.nlos_coherence_s, self._draw_detours)
@@ -228,13 +234,19 @@ class Radio:
             blocked, self.settings.nlos_mean_m * self._of_pairs("nlos_excess", _EXCESS, rows), 0.0
         )
 
+    def _generators(self, effect: str) -> list[Generator]:
+        """An effect's generators, one for each node. To make them takes long: only those that are needed."""
+        if effect not in self._rngs:
+            self._rngs[effect] = self._children[effect].spawn(self._nodes)
+        return self._rngs[effect]
+
     def _of_pairs(self, effect: str, draw: _Draw, rows: int) -> Array:
         """An effect's next ``rows`` draws of all pairs, (rows, m)."""
         drawn = np.empty((rows, len(self.pairs)))
-        for i, rng in enumerate(self._rngs[effect]):
+        for i, rng in enumerate(self._generators(effect)):
             drawn[:, i * (i - 1) // 2 : i * (i + 1) // 2] = draw(rng, (rows, i))
         return drawn
 
     def _of_nodes(self, effect: str, draw: _Draw, rows: int) -> Array:
         """An effect's next ``rows`` draws of all nodes, (rows, n)."""
-        return np.stack([draw(rng, (rows,)) for rng in self._rngs[effect]], axis=-1)
+        return np.stack([draw(rng, (rows,)) for rng in self._generators(effect)], axis=-1)
