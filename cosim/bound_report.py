@@ -131,8 +131,11 @@ def _draw(window: Flight, bounds: Mapping[str, Estimate]) -> Figure:
                     time, states[:, i], style, color=color, label=name if key is Knowledge.STAMPED else None
                 )
         ax.set(ylabel=title, xlabel="time from the start of the alignment, s" if number >= 3 else None)
-        log_scale(ax)
-        ax.legend(fontsize=8, loc="upper right")
+        if "bias" in title:
+            ax.set_ylim(bottom=0.0)  # next to nothing may be learnt of them
+        else:
+            log_scale(ax)
+        ax.legend(fontsize=8, loc="lower left" if "bias" in title else "upper right")
     for key, style in _STYLES.items():
         axes[0][0].plot([], [], style, color="black", label=BOUND_NAMES[key])
     legend(figure, axes[0][0])
