@@ -9,6 +9,7 @@ import numpy as np
 from ..aircraft.flight import Flight
 from ..aircraft.mission import BankProfile, SManeuver
 from ..aircraft.phases import maneuver_bank
+from ..align.bound import Knowledge
 from ..align.estimate import Array, Estimate
 from ..align.maneuver import Maneuver, ManeuverSearch, Profile
 from ..align.maneuver_bound import AlignmentTask
@@ -37,7 +38,8 @@ BANK_STEP_DEG = 0.01
 class Flown:
     """A manoeuvre as flown, and what the filters make of it.
 
-    ``bound_sd`` (m, 5) as `score.standard_deviations` gives it; ``first`` is run 0.
+    ``bound_sd`` (m, 5), with stamps known, and ``unstamped_sd`` (5,), at the end with delays unknown, as
+    `score.standard_deviations` gives them; ``first`` is run 0.
     """
 
     scenario: Scenario
@@ -45,6 +47,7 @@ class Flown:
     window: Flight
     bound: Estimate
     bound_sd: Array
+    unstamped_sd: Array
     scores: dict[str, FilterScore]
     first: Run
 
@@ -181,6 +184,18 @@ def align_on(scenario: Scenario, flight: Flight, progress: Progress | None = Non
         first = first or run
         scorer.add(run)
     assert first is not None
-    bound = bound_of(scenario, window, [fixes_of(scenario, flight, 0, scenario.seed)[0]])
-    bound_sd = standard_deviations(window, bound, scenario.imu.vibration_mps)
-    return Flown(scenario, flight, window, bound, bound_sd, scorer.scores(), first)
+    fixes = [fixes_of(scenario, flight, 0, scenario.seed)[0]]
+    bound, unstamped = (
+        bound_of(scenario, window, fixes, what) for what in (Knowledge.STAMPED, Knowledge.DELAY_UNKNOWN)
+    )
+    vibration_mps = scenario.imu.vibration_mps
+    return Flown(
+        scenario,
+        flight,
+        window,
+        bound,
+        standard_deviations(window, bound, vibration_mps),
+        standard_deviations(window, unstamped, vibration_mps)[-1],
+        scorer.scores(),
+        first,
+    )

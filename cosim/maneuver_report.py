@@ -72,6 +72,7 @@ def _flown(flown: Flown) -> dict[str, Any]:
     speed, altitude = np.linalg.norm(window.v_n, axis=1), window.lla[:, 2] - plan.altitude_m
     bank_error = (window.bank - flown.asked_bank) / DEG
     bound: dict[str, Any] = dict(zip(COLUMNS, flown.bound_sd[-1].tolist(), strict=True))
+    unstamped: dict[str, Any] = dict(zip(COLUMNS, flown.unstamped_sd.tolist(), strict=True))
     filters = summarize_runs(flown.scenario, flown.scores, None, flown.bound_sd[-1])["filters"]
     for name, row in filters.items():
         levels = np.sqrt(np.mean(flown.scores[name].errors[:, -1, :2] ** 2, axis=1, keepdims=True))
@@ -79,6 +80,7 @@ def _flown(flown: Flown) -> dict[str, Any]:
         row |= {"level_arcsec": level(row), "level_ci95": interval if np.isfinite(interval).all() else None}
     return {
         "bound": bound | {"level_arcsec": level(bound)},
+        "bound_delay_unknown": unstamped | {"level_arcsec": level(unstamped)},
         "filters": filters,
         "largest_bank_deg": np.abs(window.bank).max() / DEG,
         "bank_error_rms_deg": np.sqrt(np.mean(bank_error**2)),
@@ -134,9 +136,10 @@ def _stated(settings: BaseModel) -> dict[str, Any]:
 def maneuver_table(title: str, summary: dict[str, Any]) -> Table:
     """Bound and filters at the end, for both manoeuvres."""
     table = Table(
-        title=Text(f"{title}: RMS over {summary['runs']} runs at the end"),
+        title=Text(f"{title}\nRMS over {summary['runs']} runs at the end"),
         box=SIMPLE_HEAD,
         pad_edge=False,
+        padding=0,
         min_width=72,
     )
     table.add_column("", no_wrap=True)
@@ -144,7 +147,8 @@ def maneuver_table(title: str, summary: dict[str, Any]) -> Table:
         table.add_column(heading, justify="right", no_wrap=True)
     for key, name in NAMES.items():
         flown = summary["flown"][key]
-        table.add_row(Text(f"{name}: bound"), *_cells(flown["bound"]), "", style="dim")
+        for what, bound in (("bound", "bound"), ("bound, delay unknown", "bound_delay_unknown")):
+            table.add_row(Text(f"{name}: {what}"), *_cells(flown[bound]), "", style="dim")
         for filter_name, row in flown["filters"].items():
             table.add_row(Text(f"{name}: {filter_name}"), *_cells(row), str(row["failed_runs"]))
     return table
