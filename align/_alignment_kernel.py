@@ -97,12 +97,13 @@ def steps_memory(n_states):
 
 @njit(**COMPILED)
 def _copy(X_from, P_from, X_to, P_to):
-    """Copy state and covariance; loops compile much faster than array assignments."""
+    """Copy state and covariance; loops compile much faster than array assignments, and one is quicker than
+    two."""
     for i in range(len(X_to)):
         X_to[i] = X_from[i]
-    for i in range(len(P_to)):
-        for j in range(len(P_to)):
-            P_to[i, j] = P_from[i, j]
+    source, target = P_from.reshape(P_from.size), P_to.reshape(P_to.size)
+    for i in range(len(target)):
+        target[i] = source[i]
 
 
 @njit(**COMPILED)
