@@ -24,7 +24,8 @@ from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
 from ..sins.units import MILLISECOND
 from .estimate import Array, Estimate
-from .filters import DelayModel, FilterSettings, align
+from .filters import align
+from .settings import DelayModel, FilterSettings
 from .smoother import smooth
 
 

@@ -33,8 +33,9 @@ from ..sins._kernels import COMPILED, fill_C_nb, rotate_attitude
 from ..sins.earth import EARTH_RATE, STANDARD_GRAVITY, GravityModel
 from ..sins.units import DEG
 from .estimate import Array, FixOutcome
-from .filters import DelayModel, Problem
+from .problem import Problem
 from .reception import Integers
+from .settings import DelayModel
 
 LEVEL_SD = 0.5 * DEG
 HEADING_SD = 2.0 * DEG

@@ -26,7 +26,7 @@ from ..sins import attitude
 from ..sins.earth import STANDARD_GRAVITY as G
 from ..sins.error_model import ACCEL, GYRO, MISALIGN, N_STATES, POSITION, VELOCITY, system_matrix
 from ..sins.imu import ImuErrors
-from .filters import DelayModel, FilterSettings, initial_sd, noise_density
+from .settings import DelayModel, FilterSettings, initial_sd, noise_density
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,9 @@ from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
 from .coarse import align_in_motion
 from .estimate import Array, Estimate, RunOutcome
-from .filters import FILTERS, DelayModel, FilterSettings, align, pose, unaligned
+from .filters import FILTERS, align
+from .problem import pose, unaligned
+from .settings import DelayModel, FilterSettings
 from .smoother import smooth
 
 

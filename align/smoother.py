@@ -25,8 +25,9 @@ from ..sins.error_model import MISALIGN
 from ..sins.imu import ImuErrors
 from . import _alignment_kernel, _smoothing_kernel
 from .estimate import Array, Estimate, FixOutcome, RunOutcome
-from .filters import DelayModel, FilterSettings, Problem, pose, run, state_columns
+from .problem import Problem, pose, run, state_columns
 from .reception import Integers, Reception
+from .settings import DelayModel, FilterSettings
 
 WEIGHTLESS = 30.0
 """So many times the standard deviation that a record gives leave what is known before a weight of 0.1 %."""

@@ -8,8 +8,9 @@ import numpy as np
 from fleetalign.aircraft.flight import Flight
 from fleetalign.align.coarse import CoarseAttitude, align_in_motion
 from fleetalign.align.estimate import Estimate
-from fleetalign.align.filters import DelayModel, pose
 from fleetalign.align.methods import estimate
+from fleetalign.align.problem import pose
+from fleetalign.align.settings import DelayModel
 from fleetalign.cosim.bound import bound_of
 from fleetalign.cosim.run import Run, simulate
 from fleetalign.cosim.scenario import Scenario, replaced

@@ -2,7 +2,8 @@
 
 from functools import partial
 
-from fleetalign.align.filters import FILTERS, DelayModel, align
+from fleetalign.align.filters import FILTERS, align
+from fleetalign.align.settings import DelayModel
 
 from .harness import Harness, Row
 from .material import Material

@@ -31,7 +31,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from fleetalign.align.filters import noise_density
+from fleetalign.align.settings import noise_density
 from fleetalign.sins import attitude, error_model
 from fleetalign.sins.attitude import skew
 from fleetalign.sins.earth import GravityModel

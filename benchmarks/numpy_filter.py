@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from fleetalign.align.filters import DelayModel, FilterSettings, initial_sd, noise_density
 from fleetalign.align.measurement import N_STATES, Motion, joseph_update, kinematics, measure
+from fleetalign.align.settings import DelayModel, FilterSettings, initial_sd, noise_density
 from fleetalign.network.fixes import Fixes
 from fleetalign.sins import attitude, earth
 from fleetalign.sins.earth import GravityModel

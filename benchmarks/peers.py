@@ -11,7 +11,8 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from fleetalign.align.filters import DelayModel, align, initial_sd, noise_density
+from fleetalign.align.filters import align
+from fleetalign.align.settings import DelayModel, initial_sd, noise_density
 from fleetalign.sins import attitude, earth
 from fleetalign.sins.error_model import transition_matrix
 from fleetalign.sins.mechanization import NavigationState, mechanize

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from ..align.estimate import Array, Estimate
-from ..align.filters import DelayModel, FilterSettings
 from ..align.methods import METHODS, estimate
+from ..align.settings import DelayModel, FilterSettings
 from ..network.fixes import Fixes
 from ..network.tables import TableError
 from ..sins import attitude

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from ..align.filters import FILTERS, FilterSettings
+from ..align.filters import FILTERS
 from ..align.methods import METHODS
+from ..align.settings import FilterSettings
 from ..sins import attitude
 from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors

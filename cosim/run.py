@@ -15,8 +15,8 @@ import numpy as np
 
 from ..aircraft.flight import Flight
 from ..align.estimate import Array, Estimate
-from ..align.filters import FilterSettings
 from ..align.methods import estimate
+from ..align.settings import FilterSettings
 from ..network.fixes import Fixes
 from ..network.fleet import CentrePath
 from ..network.fleet_network import FleetNetwork, fly_network

@@ -12,8 +12,9 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from ..aircraft.mission import FlightPlan
 from ..aircraft.phases import PHASE_NAMES
-from ..align.filters import FILTERS, FilterSettings
+from ..align.filters import FILTERS
 from ..align.methods import METHODS
+from ..align.settings import FilterSettings
 from ..network.source import AnyFixSource, FixSource
 from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors

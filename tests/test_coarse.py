@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from fleetalign.align.coarse import HEADING_SD, LEVEL_SD, align_in_motion
 from fleetalign.align.estimate import RunOutcome
-from fleetalign.align.filters import DelayModel, FilterSettings, pose
 from fleetalign.align.methods import estimate
+from fleetalign.align.problem import pose
+from fleetalign.align.settings import DelayModel, FilterSettings
 from fleetalign.cosim.antenna import at_antenna
 from fleetalign.cosim.run import coarse_attitude, fixes_of, generator, simulate
 from fleetalign.cosim.scenario import CoarseAttitude, replaced

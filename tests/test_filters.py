@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 from fleetalign.align import _alignment_kernel, _kernels, measurement
 from fleetalign.align.estimate import FixOutcome, RunOutcome
-from fleetalign.align.filters import (
-    DelayModel,
-    FilterSettings,
-    align,
-)
+from fleetalign.align.filters import align
+from fleetalign.align.settings import DelayModel, FilterSettings
 from fleetalign.cosim.run import coarse_attitude, generator, simulate
 from fleetalign.cosim.scenario import CoarseAttitude, replaced
 from fleetalign.network.fixes import concatenate

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from fleetalign.align.estimate import FixOutcome, RunOutcome
-from fleetalign.align.filters import FilterSettings
 from fleetalign.align.lmi.alignment import align_lmi, ekf_ten, gain_schedule, white
 from fleetalign.align.lmi.design import DesignError, Kind, Outcome, design
 from fleetalign.align.lmi.plant import MATRICES, Plant
@@ -16,6 +15,7 @@ from fleetalign.align.lmi.sins_plant import (
     quaternion_axes,
     sins_plant,
 )
+from fleetalign.align.settings import FilterSettings
 from fleetalign.cosim.plants import load_plant
 from fleetalign.network.fixes import Fixes
 from fleetalign.sins import attitude, earth

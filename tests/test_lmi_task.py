@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from fleetalign.align.filters import FilterSettings
 from fleetalign.align.lmi.task import sins_plant_settings, steepest_side_mps2
+from fleetalign.align.settings import FilterSettings
 from fleetalign.network.fixes import Fixes
 from fleetalign.sins.imu import ImuErrors
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from fleetalign.aircraft.cache import cached_flight
 from fleetalign.aircraft.mission import BankProfile
-from fleetalign.align.filters import FilterSettings
 from fleetalign.align.maneuver import (
     SLACK,
     ManeuverError,
@@ -22,6 +21,7 @@ from fleetalign.align.maneuver import (
 from fleetalign.align.maneuver_bound import AlignmentTask, bound_function, headings, knot_covariances
 from fleetalign.align.maneuver_limits import ManeuverLimits
 from fleetalign.align.maneuver_starts import starts, turns
+from fleetalign.align.settings import FilterSettings
 from fleetalign.cosim import maneuver as study
 from fleetalign.cosim.maneuver import align_on, grid_of, task_of, with_profile, with_stated_fixes
 from fleetalign.cosim.maneuver_report import scenario_toml

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from fleetalign.align import measurement
-from fleetalign.align.filters import DelayModel, FilterSettings, initial_sd, noise_density
+from fleetalign.align.settings import DelayModel, FilterSettings, initial_sd, noise_density
 from fleetalign.sins import attitude, earth
 from fleetalign.sins.error_model import ACCEL, GYRO, MISALIGN, POSITION, VELOCITY
 from fleetalign.sins.imu import ImuErrors

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from fleetalign.align.consistency import chi_square_quantile, nees
 from fleetalign.align.estimate import FixOutcome, RunOutcome
-from fleetalign.align.filters import FILTERS, DelayModel, align
+from fleetalign.align.filters import FILTERS, align
 from fleetalign.align.reception import finite_increments, received
+from fleetalign.align.settings import DelayModel
 from fleetalign.cosim.run import simulate
 from fleetalign.cosim.scenario import replaced
 from fleetalign.sins import attitude, earth

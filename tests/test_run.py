@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from fleetalign.align.consistency import mean_band, nees
 from fleetalign.align.estimate import RunOutcome
-from fleetalign.align.filters import DelayModel, align
+from fleetalign.align.filters import align
+from fleetalign.align.settings import DelayModel
 from fleetalign.cosim.bound import bound_of
 from fleetalign.cosim.run import alignment_window, fixes_of, generator, simulate, simulate_all
 from fleetalign.cosim.scenario import ScenarioError, replaced

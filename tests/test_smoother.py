@@ -7,7 +7,8 @@ import pytest
 from fleetalign.align import _smoothing_kernel
 from fleetalign.align.consistency import mean_band, nees
 from fleetalign.align.estimate import FixOutcome, RunOutcome
-from fleetalign.align.filters import DelayModel, FilterSettings, align
+from fleetalign.align.filters import align
+from fleetalign.align.settings import DelayModel, FilterSettings
 from fleetalign.align.smoother import smooth
 from fleetalign.cosim.run import coarse_attitude, fixes_of, generator
 from fleetalign.cosim.scenario import replaced

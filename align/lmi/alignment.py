@@ -18,8 +18,10 @@ from ...network.fixes import Fixes
 from ...sins.earth import GravityModel
 from ...sins.imu import ImuErrors
 from ..estimate import Estimate, FixOutcome, RunOutcome
-from ..filters import DelayModel, FilterSettings, align, pose, unaligned
+from ..filters import align
+from ..problem import pose, unaligned
 from ..reception import Integers, Reception
+from ..settings import DelayModel, FilterSettings
 from . import _observer_kernel
 from .design import Design, Kind, design
 from .plant import Array

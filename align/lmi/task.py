@@ -12,7 +12,7 @@ from ...network.fixes import Fixes
 from ...sins.imu import ImuErrors
 from ...sins.units import MILLISECOND
 from ..estimate import Array
-from ..filters import FilterSettings
+from ..settings import FilterSettings
 from .sins_plant import GRAVITY_MPS2, SinsPlantSettings
 
 STEEPEST = 0.95

@@ -1,0 +1,178 @@
+"""An alignment as the compiled loops take it: a record, fixes and settings, checked; and its run."""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..network.fixes import Fixes
+from ..sins.earth import GravityModel
+from ..sins.imu import ImuErrors
+from ..sins.mechanization import checked_record
+from ..sins.units import MILLISECOND
+from . import _alignment_kernel
+from .consistency import chi_square_quantile
+from .estimate import Array, Estimate, RunOutcome
+from .measurement import N_STATES
+from .reception import Integers, Reception, finite_increments, received
+from .settings import DelayModel, FilterSettings, initial_sd, noise_density
+
+
+class Problem(NamedTuple):
+    """A record and fixes, checked, and what the compiled loops take of the settings."""
+
+    time: Array
+    increments: Array
+    """(n, 6)."""
+    gap_variance: Array
+    q_nb_coarse: Array
+    reception: Reception
+    outcome: Integers
+    """(k,) of fixes in order of arrival, `FixOutcome`; filled by `run`."""
+    delay: DelayModel
+    delay_sd: float
+    initial: Array
+    initial_sd: Array
+    noise_density: Array
+    vibration_variance: float
+    gate: float
+    patience: int
+    samples: int
+    """Intervals over which specific force and rate are averaged."""
+    gravity: int
+    output_epoch: Integers
+    held: int
+
+    @property
+    def dt(self) -> float:
+        """Mean interval, s."""
+        return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
+
+
+def pose(
+    time: ArrayLike,
+    dtheta_b: ArrayLike,
+    dv_b: ArrayLike,
+    q_nb_coarse: ArrayLike,
+    fixes: Fixes,
+    delay: DelayModel,
+    settings: FilterSettings,
+    imu: ImuErrors,
+    gravity: GravityModel,
+) -> Problem:
+    """Check what `align` is given; parameters and errors are those of `filters.align`."""
+    time, dtheta_b, dv_b = checked_record(time, dtheta_b, dv_b)
+    q_nb_coarse = np.array(q_nb_coarse, float)
+    if q_nb_coarse.shape != (4,) or not abs(np.linalg.norm(q_nb_coarse) - 1) < 1e-6:
+        raise ValueError(f"q_nb_coarse must be a unit quaternion, not {q_nb_coarse}")
+    n = len(time)
+    dt = (time[-1] - time[0]) / (n - 1)
+    stamped, estimated = delay is DelayModel.STAMPED, delay is DelayModel.ESTIMATED
+    delay_sd_ms = settings.stamp_sd_ms * stamped + settings.delay_sd_ms * estimated
+    increments, gap_variance, held = finite_increments(np.hstack([dtheta_b, dv_b]), dt)
+    outcome, reception = received(
+        time, fixes.sorted_by_arrival(), stamped, settings.stamp_sd_ms * MILLISECOND
+    )
+    every = max(1, round(1 / (settings.output_rate_hz * dt)))
+    initial = np.zeros(10)
+    initial[6] = settings.delay_mean_ms * MILLISECOND if estimated else 0.0
+    initial[7:] = settings.lever_arm_b_m
+    sd = initial_sd(settings, imu, delay)
+    return Problem(
+        time=time,
+        increments=increments,
+        gap_variance=gap_variance,
+        q_nb_coarse=q_nb_coarse,
+        reception=reception,
+        outcome=outcome,
+        delay=delay,
+        delay_sd=delay_sd_ms * MILLISECOND,
+        initial=initial,
+        initial_sd=sd,
+        noise_density=np.pad(noise_density(imu), (0, len(sd) - N_STATES)),
+        vibration_variance=imu.vibration_mps**2,
+        gate=_gate(settings.gate_probability),
+        patience=settings.restart_after_gated,
+        samples=max(1, round(settings.acceleration_window_s / dt)),
+        gravity=int(gravity),
+        output_epoch=np.unique(np.append(np.arange(every, n, every), n - 1)),
+        held=held,
+    )
+
+
+def run(problem: Problem, horizon: int, kept: int) -> tuple[Estimate, tuple[Array, Array]]:
+    """Run the filter; also state (kept, 21) and covariance (kept, n, n) of the last ``kept`` epochs, each
+    before its fixes, at the epoch's number modulo ``kept``."""
+    outputs = _outputs(problem)
+    memory = _alignment_kernel.working_memory(len(problem.outcome), kept, len(problem.initial_sd))
+    started, finite_to_the_end = _alignment_kernel.align(
+        problem.time,
+        problem.increments,
+        problem.gap_variance,
+        problem.q_nb_coarse,
+        problem.reception,
+        problem.outcome,
+        int(problem.delay),
+        problem.delay_sd,
+        problem.initial,
+        problem.initial_sd,
+        problem.noise_density,
+        problem.vibration_variance,
+        problem.gate,
+        problem.patience,
+        horizon,
+        problem.samples,
+        problem.gravity,
+        problem.output_epoch,
+        outputs,
+        memory,
+    )
+    ending = RunOutcome.ALIGNED if finite_to_the_end else RunOutcome.NOT_FINITE
+    return _estimate(problem, outputs, ending if started else RunOutcome.NO_FIX), memory[2:4]
+
+
+def unaligned(problem: Problem, outcome: RunOutcome) -> Estimate:
+    """What is known where no filter ran: nothing."""
+    return _estimate(problem, _outputs(problem), outcome)
+
+
+def _outputs(problem: Problem) -> tuple[Array, ...]:
+    m, k, states = len(problem.output_epoch), len(problem.outcome), len(problem.initial_sd)
+    shapes = ((m, 21), (m, states), (m, 3, 3), (k, 6), (k,), (k,))
+    return tuple(np.full(shape, np.nan) for shape in shapes)
+
+
+def _estimate(problem: Problem, outputs: tuple[Array, ...], outcome: RunOutcome) -> Estimate:
+    X, variance, misalignment_cov, innovation, nis, fix_time = outputs
+    return Estimate(
+        time=problem.time[problem.output_epoch],
+        **state_columns(X),
+        sd=np.sqrt(variance),
+        misalignment_cov=misalignment_cov,
+        innovation=innovation,
+        nis=nis,
+        fix_time=fix_time,
+        fix_outcome=problem.outcome,
+        held_imu_samples=problem.held,
+        outcome=outcome,
+    )
+
+
+def state_columns(X: Array) -> dict[str, Array]:
+    """The fields of an `Estimate` that a state vector, (m, 21), holds."""
+    return {
+        "lla": X[:, 0:3],
+        "v_n": X[:, 3:6],
+        "q_nb": X[:, 6:10],
+        "accel_bias": X[:, 10:13],
+        "gyro_bias": X[:, 13:16],
+        "delay": X[:, 16],
+        "lever_arm_b": X[:, 17:20],
+    }
+
+
+@cache
+def _gate(probability: float) -> float:
+    """Largest NIS of a fix that passes; cached, since the quantile costs as much as a hundred samples."""
+    return float(chi_square_quantile(probability, 6))
