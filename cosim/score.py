@@ -217,7 +217,7 @@ def bootstrap_rms_interval(errors: Array, probability: float = 0.95) -> Array:
     squares = errors[np.isfinite(errors).all(axis=1)] ** 2
     if len(squares) < LEAST_RUNS:
         return np.full((2, errors.shape[1]), np.nan)
-    return np.sqrt(np.quantile(_resampled_means(squares), _tails(probability), axis=0))
+    return np.sqrt(np.quantile(resampled_means(squares), tails(probability), axis=0))
 
 
 def rms_over(errors: Array, floor: Array, probability: float = 0.95) -> dict[str, Array]:
@@ -251,13 +251,13 @@ def _ratios(above: Array, below: Array, probability: float) -> dict[str, Array]:
     if len(above):
         ratio = np.sqrt(above.mean(axis=0) / below.mean(axis=0))
     if len(above) >= LEAST_RUNS:
-        means = _resampled_means(np.hstack([above, below]))
+        means = resampled_means(np.hstack([above, below]))
         ratios = np.sqrt(means[:, : len(GROUPS)] / means[:, len(GROUPS) :])
-        interval = np.quantile(ratios, _tails(probability), axis=0)
+        interval = np.quantile(ratios, tails(probability), axis=0)
     return {name: np.array([ratio[i], *interval[:, i]]) for i, name in enumerate(GROUPS)}
 
 
-def _resampled_means(values: Array, resamples: int = 2000) -> Array:
+def resampled_means(values: Array, resamples: int = 2000) -> Array:
     """Means over resampled runs, (resamples, c), of values (runs, c); the same values give the same means."""
     n = len(values)
     rng = np.random.default_rng(0)
@@ -271,6 +271,7 @@ def _resampled_means(values: Array, resamples: int = 2000) -> Array:
     return np.concatenate(means)
 
 
-def _tails(probability: float) -> list[float]:
+def tails(probability: float) -> list[float]:
+    """Quantiles between which a two-sided interval lies."""
     tail = (1 - probability) / 2
     return [tail, 1 - tail]

@@ -1,0 +1,138 @@
+"""One node, in a plane or in space, against nodes that know where they are: whole batches of such problems.
+
+Arrays may have leading axes, one problem for each element. d is 2 or 3, m the number of anchors. An anchor
+that a node does not hear has an infinite standard deviation, and any finite range.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...sins.gaussian import apply, transposed
+from .problem import Array, Booleans, LocalizationError, RangeProblem
+
+_HEIGHT_SD_M = 1e-3
+"""Of nodes that are known to lie in the plane; far below any range's, and not so far as to be stiff."""
+
+
+class Located(NamedTuple):
+    """Positions of one node each."""
+
+    x: Array
+    """(..., d) m."""
+    cov: Array
+    """(..., d, d) m^2."""
+    converged: Booleans
+    """(...)."""
+
+
+def distances(x: Array, anchors: Array) -> tuple[Array, Array]:
+    """Distances (..., m) from x (..., d) to anchors (..., m, d), and unit vectors (..., m, d) from these."""
+    apart = x[..., None, :] - anchors
+    d = np.linalg.norm(apart, axis=-1)
+    return d, apart / np.maximum(d, 1e-12)[..., None]
+
+
+def information(x: Array, anchors: Array, range_sd: Array) -> Array:
+    """Fisher information (..., d, d) of ranges with Gaussian errors of known standard deviation, at x."""
+    _, u = distances(x, anchors)
+    return transposed(u) @ (u * _weights(range_sd, u)[..., None])
+
+
+def range_bound(x: Array, anchors: Array, range_sd: Array) -> Array:
+    """Cramer-Rao bound (..., d, d) of one node at its true position x."""
+    return np.linalg.inv(information(x, anchors, range_sd)).astype(np.float64)
+
+
+def lateration(anchors: Array, ranges: Array, heard: Booleans | None = None) -> Array:
+    """The linear solution (..., d) from differences of squared ranges.
+
+    Each range's square less that of the last heard anchor is linear in the position; least squares of these
+    equations weighs them alike, although their errors are neither equal nor independent. ``heard`` (..., m)
+    is all of them by default.
+    """
+    heard = np.ones(ranges.shape, bool) if heard is None else np.broadcast_to(heard, ranges.shape)
+    anchors = np.broadcast_to(anchors, (*ranges.shape, anchors.shape[-1]))
+    last = ranges.shape[-1] - 1 - np.argmax(heard[..., ::-1], axis=-1)
+    reference = np.take_along_axis(anchors, last[..., None, None], axis=-2)
+    reference_range = np.take_along_axis(ranges, last[..., None], axis=-1)
+    A = 2 * (anchors - reference) * heard[..., None]
+    squares = np.sum(anchors**2 - reference**2, axis=-1)
+    b = np.where(heard, squares + reference_range**2 - ranges**2, 0.0)
+    return apply(np.linalg.pinv(A), b)
+
+
+def gauss_newton(
+    anchors: Array,
+    ranges: Array,
+    range_sd: Array,
+    x0: Array,
+    tolerance_m: float = 1e-4,
+    max_iterations: int = 50,
+) -> Located:
+    """Weighted nonlinear least squares from a start (..., d), with the covariance at the solution.
+
+    A step is at most as long as the mean range, so that a start on the wrong side does not throw it out.
+    """
+    x = np.array(x0, float)
+    w = _weights(range_sd, ranges[..., None])
+    moving = np.ones(x.shape[:-1], bool)
+    reach = np.sum(ranges * w, axis=-1) / np.sum(w, axis=-1)
+    for _ in range(max_iterations):
+        d, u = distances(x, anchors)
+        gradient = apply(transposed(u), (ranges - d) * w)
+        step = apply(np.linalg.pinv(transposed(u) @ (u * w[..., None]), hermitian=True), gradient)
+        length = np.linalg.norm(step, axis=-1)
+        step *= np.minimum(1.0, reach / np.maximum(length, 1e-12))[..., None]
+        x = np.where(moving[..., None], x + step, x)
+        moving = moving & (length > tolerance_m)
+        if not moving.any():
+            break
+    cov = np.linalg.pinv(information(x, anchors, range_sd), hermitian=True).astype(np.float64)
+    return Located(x, cov, ~moving)
+
+
+def check_ranges(ranges: Array, range_sd: Array) -> None:
+    """Raises `LocalizationError` for ranges or deviations that are not positive numbers."""
+    for name, values in (("range", ranges), ("range_sd", range_sd)):
+        bad = ~(values > 0) | np.isnan(values) | ((name == "range") & np.isinf(values))
+        if bad.any():
+            where = int(np.flatnonzero(bad)[0])
+            raise LocalizationError(
+                f"{name} {where} = {values.ravel()[where]:g} m: must be positive and finite"
+            )
+
+
+def check_anchors(anchors: Array, least: int | None = None) -> None:
+    """Raises `LocalizationError` for fewer anchors (m, d) than d + 1, and for those on a line or plane."""
+    count, d = anchors.shape
+    least = d + 1 if least is None else least
+    if count < least:
+        raise LocalizationError(f"{count} anchors: at least {least} are needed in {d} dimensions")
+    centred = anchors - anchors.mean(axis=0)
+    spread = np.linalg.svd(centred, compute_uv=False)
+    if spread[-1] < 1e-6 * max(spread[0], 1e-12):
+        shape = "a line" if d == 2 else "a plane"
+        raise LocalizationError(f"all {count} anchors lie on {shape}: what is mirrored in it fits as well")
+
+
+def in_plane(links: Array, ranges: Array, range_sd: Array, anchor: Booleans, anchor_x: Array) -> RangeProblem:
+    """A network in a plane as a problem in space whose nodes are known to have no height.
+
+    ``anchor_x`` (n, 2). What is found has a third component of zero, and a bound of it of (1 mm)^2.
+    """
+    flat = np.column_stack([np.where(anchor[:, None], anchor_x, 0.0), np.zeros(len(anchor))])
+    return RangeProblem(
+        links=np.asarray(links, np.int64),
+        ranges=ranges,
+        range_sd=range_sd,
+        anchor=anchor,
+        anchor_x=flat,
+        height=np.zeros(len(anchor)),
+        height_sd=_HEIGHT_SD_M,
+    )
+
+
+def _weights(range_sd: Array, like: Array) -> Array:
+    """Inverse variances (..., m); zero where the deviation is infinite."""
+    return np.broadcast_to(np.asarray(range_sd, float) ** -2.0, like.shape[:-1])
