@@ -157,9 +157,8 @@ def align(
     q_initial (4,) : coarse attitude at epoch 0.
     fixes : `reception.Reception`.
     outcome (k,) : PENDING, or the reason for which a fix must not be used; is filled.
-    initial (10,), initial_sd (n,) : biases, delay and lever arm at the start; standard deviations there, n =
-    16,
-        or 19 if the lever arm is estimated.
+    initial (10,), initial_sd (n,) : biases, delay and lever arm at the start; standard deviations there,
+        n = 16, or 19 if the lever arm is estimated.
     noise_density (n,) : power spectral densities of the white noises on the states.
     gate : largest NIS to accept. patience : fixes refused in a row before starting again.
     horizon : epochs. samples : intervals to average the specific force over.

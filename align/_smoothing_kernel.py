@@ -79,9 +79,8 @@ def smooth(
 
     Parameters, where they are not those of `_alignment_kernel.align`
     ----------
-    fixes : `reception.Reception` of those that it applied, in order. restarts (k,) : which of them, but for
-    the
-        first, it started again from.
+    fixes : `reception.Reception` of those that it applied, in order. restarts (k,) : which of them,
+        but for the first, it started again from.
     X_kept (n, 21), P_kept (n, n_states, n_states) : its state and covariance at each epoch, before the fixes
     there.
     outputs : tuple of X (m, 21), variances (m, n_states), misalignment covariance (m, 3, 3), which are

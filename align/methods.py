@@ -6,6 +6,7 @@ A method takes a record from a coarse attitude, or from none, to an `Estimate`.
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -40,41 +41,31 @@ _DESIGNING = threading.Lock()
 
 
 def _filter(delay: DelayModel) -> Callable[..., Estimate]:
-    def run(
-        time: ArrayLike,
-        dtheta_b: ArrayLike,
-        dv_b: ArrayLike,
-        q_nb: ArrayLike,
-        fixes: Fixes,
-        settings: FilterSettings,
-        imu: ImuErrors,
-        gravity: GravityModel,
-    ) -> Estimate:
-        return align(time, dtheta_b, dv_b, q_nb, fixes, delay, settings, imu, gravity)
+    def run(*record: Any) -> Estimate:
+        *measured, settings, imu, gravity = record
+        return align(*measured, delay=delay, settings=settings, imu=imu, gravity=gravity)
 
     return run
 
 
-def _designed(scheduled: bool) -> Callable[..., Estimate]:
-    def run(
-        time: ArrayLike,
-        dtheta_b: ArrayLike,
-        dv_b: ArrayLike,
-        q_nb: ArrayLike,
-        fixes: Fixes,
-        settings: FilterSettings,
-        imu: ImuErrors,
-        gravity: GravityModel,
-    ) -> Estimate:
-        from .lmi.alignment import align_lmi, gain_schedule  # cvxpy takes a second to import
-        from .lmi.task import sins_plant_settings, steepest_side_mps2
+def _designed(
+    time: ArrayLike,
+    dtheta_b: ArrayLike,
+    dv_b: ArrayLike,
+    q_nb: ArrayLike,
+    fixes: Fixes,
+    settings: FilterSettings,
+    imu: ImuErrors,
+    gravity: GravityModel,
+    scheduled: bool,
+) -> Estimate:
+    from .lmi.alignment import align_lmi, gain_schedule  # cvxpy takes a second to import
+    from .lmi.task import sins_plant_settings, steepest_side_mps2
 
-        side = steepest_side_mps2(time, dv_b) if scheduled else None
-        with _DESIGNING:
-            schedule = gain_schedule(sins_plant_settings(fixes, settings, imu, side or 0.0), side)
-        return align_lmi(time, dtheta_b, dv_b, q_nb, fixes, schedule, settings, gravity)
-
-    return run
+    side = steepest_side_mps2(time, dv_b) if scheduled else None
+    with _DESIGNING:
+        schedule = gain_schedule(sins_plant_settings(fixes, settings, imu, side or 0.0), side)
+    return align_lmi(time, dtheta_b, dv_b, q_nb, fixes, schedule, settings, gravity)
 
 
 def _ekf_ten(*record: Any) -> Estimate:
@@ -92,10 +83,14 @@ METHODS = {
         "fixed-interval smoother, for review after the flight", smooth, DelayModel.STAMPED, in_flight=False
     ),
     "l2linf_lmi": Method(
-        "the paper's ten states, constant gain by an LMI", _designed(scheduled=False), DelayModel.IGNORED
+        "the paper's ten states, constant gain by an LMI",
+        partial(_designed, scheduled=False),
+        DelayModel.IGNORED,
     ),
     "l2linf_lmi_scheduled": Method(
-        "the same, gains over the force to the side", _designed(scheduled=True), DelayModel.IGNORED
+        "the same, gains over the force to the side",
+        partial(_designed, scheduled=True),
+        DelayModel.IGNORED,
     ),
     "ekf_ten": Method("EKF on the paper's ten states", _ekf_ten, DelayModel.IGNORED),
 }

@@ -157,7 +157,8 @@ class Tracker:
             epochs.ranges,
             epochs.rates,
             beliefs,
-            np.ascontiguousarray(heights),
+            # A copy: a read-only view is another type, for which the loops would be compiled again.
+            np.array(heights),
             self._floor,
             self._weak,
             TOLERANCE,
