@@ -71,8 +71,14 @@ def check(scenario: ScenarioArgument) -> None:
     """Check a scenario without flying it."""
     from ..aircraft.airframe import load_airframe
     from ..aircraft.envelope import Envelope
+    from .papers.scenario import validated
+    from .scenario import is_paper, read_scenario
 
-    name, settings = loaded(scenario)
+    name, content, _ = read_scenario(scenario)
+    if is_paper(content):
+        out_console.print(f"{name}: {validated(scenario, content).title}: good", soft_wrap=True)
+        return
+    _, settings = loaded(scenario)
     Envelope(settings.flight, load_airframe(settings.flight.airframe))
     out_console.print(f"{name}: {settings.title}: good", soft_wrap=True)
 
@@ -81,11 +87,11 @@ def list_() -> None:
     """List bundled scenarios, airframes and filters."""
     from ..aircraft.airframe import airframe_names
     from ..align.methods import METHODS
-    from .scenario import load_scenario, scenario_names
+    from .scenario import read_scenario, scenario_names
 
     table = Table("kind", "name", "what")
     for name in scenario_names():
-        table.add_row("scenario", name, Text(load_scenario(name)[1].title))
+        table.add_row("scenario", name, Text(read_scenario(name)[1]["title"]))
     for name in airframe_names():
         table.add_row("airframe", name, "")
     for name, method in METHODS.items():

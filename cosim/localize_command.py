@@ -32,17 +32,30 @@ def localize(
             min=2, max=LARGEST, help="Number of nodes; above 200 the study of scale, without a flight."
         ),
     ] = None,
-    draws: Annotated[int, typer.Option(help="Draws of the network.")] = 200,
+    draws: Annotated[
+        int | None, typer.Option(help="Draws of the network; 200, or a paper's scenario's own, by default.")
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of all draws; the scenario's by default.")] = None,
     out: OutFolder = None,
     no_cache: NoCache = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Run a scenario's network alone: coverage, accuracy, delay and load, and the paper's figures."""
+    """Run a scenario's network alone: coverage, accuracy, delay and load, and the paper's figures.
+
+    Scenarios of companion papers run the experiment of their paper.
+    """
     from .localize_studies import MOST_NODES, study_fleet, study_scale, with_network
     from .outputs import write_json
+    from .papers.command import Asked, study_paper
+    from .scenario import is_paper, read_scenario
 
+    name, content, _ = read_scenario(scenario)
+    if is_paper(content):
+        idle = {"--nodes": nodes is not None, "--no-cache": no_cache}
+        study_paper(name, Asked("localize", scenario, content, draws, seed, out, quiet, as_json, idle))
+        return
+    draws = 200 if draws is None else draws
     if draws < 1:
         raise InputError(f"--draws {draws}: at least 1")
     name, settings = loaded(scenario, seed=seed)

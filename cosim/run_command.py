@@ -45,7 +45,10 @@ def run(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Fly a scenario, align on it many times, and write summary, estimates, recording and report."""
+    """Fly a scenario, align on it many times, and write summary, estimates, recording and report.
+
+    Scenarios of companion papers run the experiment of their paper.
+    """
     from ..aircraft.cache import is_cached
     from ..align.bound import Knowledge
     from .bound import BOUND_DRAWS, bounds_of, no_bound_because
@@ -54,11 +57,20 @@ def run(
     from .recording import write_recording
     from .report import write_report
     from .run import alignment_window, compiling_ahead, simulate_all
-    from .scenario import ScenarioError
+    from .scenario import ScenarioError, is_paper, read_scenario
     from .score import Scorer, standard_deviations
     from .variants import run_variants
 
-    name, settings = loaded(scenario, runs, seed, filter_)
+    name, content, _ = read_scenario(scenario)
+    if is_paper(content):
+        from .papers.command import Asked, study_paper
+
+        idle = {"--filter": bool(filter_), "--variants": variants, "--no-cache": no_cache}
+        folder = study_paper(name, Asked("run", scenario, content, runs, seed, out, quiet, as_json, idle))
+        if view:
+            _view(folder / "recording.rrd")
+        return
+    _, settings = loaded(scenario, runs, seed, filter_)
     if variants and not settings.variants:
         raise InputError(f"--variants: {scenario} has none")
     folder = output_folder(out or Path(f"fleetalign-{name}"))
@@ -145,8 +157,10 @@ def run(
         out_console.print(f"report     {folder / 'report.html'}", soft_wrap=True)
         out_console.print(f"recording  {folder / 'recording.rrd'}", soft_wrap=True)
     if view:
-        subprocess.Popen(
-            [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(folder / "recording.rrd")]
-        )
+        _view(folder / "recording.rrd")
     if done < settings.runs:
         raise typer.Exit(1)
+
+
+def _view(recording: Path) -> None:
+    subprocess.Popen([sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(recording)])

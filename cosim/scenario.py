@@ -158,10 +158,10 @@ def scenario_names() -> list[str]:
     return sorted(f.name.removesuffix(".toml") for f in SCENARIO_FOLDER.iterdir() if f.name.endswith(".toml"))
 
 
-def load_scenario(name_or_path: str) -> tuple[str, Scenario]:
-    """Name and content of a bundled scenario or of a TOML file; files it names are beside it.
+def read_scenario(name_or_path: str) -> tuple[str, dict[str, Any], Path]:
+    """Name of a bundled scenario or of a TOML file, what it says, unchecked, and the folder it stands in.
 
-    Raises `ScenarioError`, with one line for each mistake: file, field, value, unit, what is allowed.
+    Raises `ScenarioError` for what cannot be read as TOML.
     """
     if name_or_path in scenario_names():
         name, folder = name_or_path, Path()
@@ -182,7 +182,23 @@ def load_scenario(name_or_path: str) -> tuple[str, Scenario]:
         content = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise ScenarioError(f"{name_or_path}: not TOML: {error}") from error
+    return name, content, folder
+
+
+def load_scenario(name_or_path: str) -> tuple[str, Scenario]:
+    """Name and content of a bundled scenario or of a TOML file; files it names are beside it.
+
+    Raises `ScenarioError`, with one line for each mistake: file, field, value, unit, what is allowed.
+    """
+    name, content, folder = read_scenario(name_or_path)
+    if is_paper(content):
+        raise ScenarioError(f"{name_or_path}: experiment: a paper's own, which flies nothing")
     return name, _validated(name_or_path, content, folder)
+
+
+def is_paper(content: dict[str, Any]) -> bool:
+    """Whether a scenario is the experiment of a companion paper (`papers.scenario`)."""
+    return "experiment" in content
 
 
 def replaced(scenario: Scenario, changes: dict[str, Any], origin: str = "change") -> Scenario:

@@ -36,11 +36,6 @@ ON_THE_RUN = (xu2012.InsWsn,)
 """Experiments of the command `run`; the others are of `localize`."""
 
 
-def is_paper(content: dict[str, Any]) -> bool:
-    """Whether a scenario's content is that of a paper's experiment."""
-    return "experiment" in content
-
-
 def validated(origin: str, content: dict[str, Any]) -> PaperScenario:
     """The scenario of a file's content. Raises `ScenarioError`, one line for each mistake."""
     try:
