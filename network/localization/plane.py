@@ -26,22 +26,26 @@ class Located(NamedTuple):
     """(...)."""
 
 
-def distances(x: Array, anchors: Array) -> tuple[Array, Array]:
-    """Distances (..., m) from x (..., d) to anchors (..., m, d), and unit vectors (..., m, d) from these."""
+def distances(x: Array, anchors: Array, rise: Array | float = 0.0) -> tuple[Array, Array]:
+    """Distances (..., m) from x (..., d) to anchors (..., m, d), and their gradients (..., m, d) in x.
+
+    ``rise`` (..., m) m is what anchors stand above the node where that is known and no component of x: the
+    distance is the slant one then, and its gradient shorter than a unit vector.
+    """
     apart = x[..., None, :] - anchors
-    d = np.linalg.norm(apart, axis=-1)
+    d = np.hypot(np.linalg.norm(apart, axis=-1), rise)
     return d, apart / np.maximum(d, 1e-12)[..., None]
 
 
-def information(x: Array, anchors: Array, range_sd: Array) -> Array:
+def information(x: Array, anchors: Array, range_sd: Array, rise: Array | float = 0.0) -> Array:
     """Fisher information (..., d, d) of ranges with Gaussian errors of known standard deviation, at x."""
-    _, u = distances(x, anchors)
+    _, u = distances(x, anchors, rise)
     return transposed(u) @ (u * _weights(range_sd, u)[..., None])
 
 
-def range_bound(x: Array, anchors: Array, range_sd: Array) -> Array:
+def range_bound(x: Array, anchors: Array, range_sd: Array, rise: Array | float = 0.0) -> Array:
     """Cramer-Rao bound (..., d, d) of one node at its true position x."""
-    return np.linalg.inv(information(x, anchors, range_sd)).astype(np.float64)
+    return np.linalg.inv(information(x, anchors, range_sd, rise)).astype(np.float64)
 
 
 def lateration(anchors: Array, ranges: Array, heard: Booleans | None = None) -> Array:
@@ -62,6 +66,23 @@ def lateration(anchors: Array, ranges: Array, heard: Booleans | None = None) -> 
     return apply(np.linalg.pinv(A), b)
 
 
+def weighted_lateration(anchors: Array, ranges: Array, range_sd: Array) -> Array:
+    """The linear solution (..., d) with each squared range weighed by its own variance, (2 r sd)^2.
+
+    Differences are from the weighted mean instead of one anchor's, which no single range's error enters
+    whole. Any rise that all anchors share drops out, so that slant ranges serve as they are.
+    """
+    w = _weights(2 * ranges * range_sd, ranges[..., None])
+    w = w / w.sum(axis=-1, keepdims=True)
+    anchors = np.broadcast_to(anchors, (*ranges.shape, anchors.shape[-1]))
+    centre = np.sum(w[..., None] * anchors, axis=-2, keepdims=True)
+    apart = anchors - centre
+    squares = np.sum(apart**2, axis=-1) - ranges**2
+    b = squares - np.sum(w * squares, axis=-1, keepdims=True)
+    root = np.sqrt(w)
+    return centre[..., 0, :] + apply(np.linalg.pinv(2 * apart * root[..., None]), root * b)
+
+
 def gauss_newton(
     anchors: Array,
     ranges: Array,
@@ -69,26 +90,33 @@ def gauss_newton(
     x0: Array,
     tolerance_m: float = 1e-4,
     max_iterations: int = 50,
+    rise: Array | float = 0.0,
+    huber: float = np.inf,
 ) -> Located:
     """Weighted nonlinear least squares from a start (..., d), with the covariance at the solution.
 
-    A step is at most as long as the mean range, so that a start on the wrong side does not throw it out.
+    ``rise`` is that of `distances`. A step is at most as long as the mean range, so that a start on the
+    wrong side does not throw it out. Residuals of more than ``huber`` standard deviations count by Huber's
+    loss, and less in the covariance.
     """
     x = np.array(x0, float)
     w = _weights(range_sd, ranges[..., None])
     moving = np.ones(x.shape[:-1], bool)
     reach = np.sum(ranges * w, axis=-1) / np.sum(w, axis=-1)
     for _ in range(max_iterations):
-        d, u = distances(x, anchors)
-        gradient = apply(transposed(u), (ranges - d) * w)
-        step = apply(np.linalg.pinv(transposed(u) @ (u * w[..., None]), hermitian=True), gradient)
+        d, u = distances(x, anchors, rise)
+        shared = w * _huber_weights((ranges - d) * np.sqrt(w), huber)
+        gradient = apply(transposed(u), (ranges - d) * shared)
+        step = apply(np.linalg.pinv(transposed(u) @ (u * shared[..., None]), hermitian=True), gradient)
         length = np.linalg.norm(step, axis=-1)
         step *= np.minimum(1.0, reach / np.maximum(length, 1e-12))[..., None]
         x = np.where(moving[..., None], x + step, x)
         moving = moving & (length > tolerance_m)
         if not moving.any():
             break
-    cov = np.linalg.pinv(information(x, anchors, range_sd), hermitian=True).astype(np.float64)
+    d, u = distances(x, anchors, rise)
+    shared = w * _huber_weights((ranges - d) * np.sqrt(w), huber)
+    cov = np.linalg.pinv(transposed(u) @ (u * shared[..., None]), hermitian=True).astype(np.float64)
     return Located(x, cov, ~moving)
 
 
@@ -131,6 +159,11 @@ def in_plane(links: Array, ranges: Array, range_sd: Array, anchor: Booleans, anc
         height=np.zeros(len(anchor)),
         height_sd=_HEIGHT_SD_M,
     )
+
+
+def _huber_weights(r: Array, threshold: float) -> Array:
+    """Weights (..., m) of residuals in standard deviations."""
+    return threshold / np.maximum(np.abs(r), threshold) if np.isfinite(threshold) else np.ones_like(r)
 
 
 def _weights(range_sd: Array, like: Array) -> Array:
