@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from sklearn.neural_network import MLPRegressor
 
 HIDDEN = 10
-_MOST_ITERATIONS = 200
+_MOST_ITERATIONS = 100
+"""More of them fit the noise, and forecast no better."""
 _FITTING = threading.Lock()
 
 
