@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...sins.gaussian import apply, transposed
-from .problem import Array, Booleans, LocalizationError, RangeProblem
+from .problem import Array, Booleans, Integers, LocalizationError, RangeProblem
 
 _HEIGHT_SD_M = 1e-3
 """Of nodes that are known to lie in the plane; far below any range's, and not so far as to be stiff."""
@@ -144,7 +144,9 @@ def check_anchors(anchors: Array, least: int | None = None) -> None:
         raise LocalizationError(f"all {count} anchors lie on {shape}: what is mirrored in it fits as well")
 
 
-def in_plane(links: Array, ranges: Array, range_sd: Array, anchor: Booleans, anchor_x: Array) -> RangeProblem:
+def in_plane(
+    links: Integers, ranges: Array, range_sd: Array, anchor: Booleans, anchor_x: Array
+) -> RangeProblem:
     """A network in a plane as a problem in space whose nodes are known to have no height.
 
     ``anchor_x`` (n, 2). What is found has a third component of zero, and a bound of it of (1 mm)^2.
