@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from ..sins._kernels import COMPILED, advance
+from ._cubature_kernel import cubature_predict, cubature_update
 from ._kernels import (
     DUPLICATE,
     ESTIMATED,
@@ -23,6 +24,8 @@ from ._kernels import (
     PENDING,
     REFUSED,
     STAMPED,
+    fill_fix_noise,
+    fill_noise,
     kinematics,
     predict,
     update,
@@ -30,9 +33,9 @@ from ._kernels import (
 
 
 @njit(**COMPILED)
-def start(X, P, lla, v_n, cov, initial, sd):
+def start(X, P, lla, v_n, cov, initial, sd, rooted=False):
     """Take position and velocity from a fix, all but the attitude as it was first; forget all
-    correlations."""
+    correlations. ``rooted``: ``P`` is to be the square root."""
     for i in range(3):
         X[i], X[3 + i] = lla[i], v_n[i]
     for i in range(10):
@@ -44,6 +47,20 @@ def start(X, P, lla, v_n, cov, initial, sd):
     for i in range(6):
         # Diffuse against this fix, however bad it is.
         P[i, i] = max(P[i, i], 1e4 * cov[i, i])
+    if rooted:
+        for i in range(len(P)):
+            P[i, i] = math.sqrt(P[i, i])
+
+
+@njit(**COMPILED)
+def covariance(P, rooted, i, j):
+    """Element of the covariance that ``P`` is, or whose lower square root it is."""
+    if not rooted:
+        return P[i, j]
+    s = 0.0
+    for k in range(min(i, j) + 1):
+        s += P[i, k] * P[j, k]
+    return s
 
 
 @njit(**COMPILED)
@@ -142,6 +159,7 @@ def align(
     output_epoch,
     outputs,
     memory,
+    cubature=None,
 ):
     """Run the filter over a record. Returns (started, stayed finite).
 
@@ -166,6 +184,8 @@ def align(
     outputs : tuple of X (m, 21), variances (m, n), misalignment covariance (m, 3, 3), innovation (k, 6),
         nis (k,), fix time (k,); what is not reached keeps what it had.
     memory : new `working_memory`.
+    cubature : new `_cubature_kernel.points_memory`, for a filter by cubature points instead of derivatives;
+        the loop is compiled for each of the two, without the other's branches.
     """
     fix_lla, fix_v_n, fix_cov, t_reference, arrival_epoch, reference_epoch, packet, source, sequence = fixes
     X_out, variance_out, misalignment_out, innovation_out, nis_out, fix_time_out = outputs
@@ -174,6 +194,7 @@ def align(
     X, P, X_kept, P_kept, epoch, applied, seen, newest, motion, innovation, work, buffers = memory
     C, f_n, w_b, arm, u = motion
     kept, n_applied = len(X_kept), 0
+    rooted = False if cubature is None else cubature[0]
     running, now, arriving, output = False, 0, 0, 0
 
     for k in range(n):
@@ -213,7 +234,7 @@ def align(
         if restart:
             f, now = applied[0], back
             _carry_attitude(X, time, increments, now, q_initial, fix_lla[f], fix_v_n[f], gravity_model, work)
-            start(X, P, fix_lla[f], fix_v_n[f], fix_cov[f], initial, initial_sd)
+            start(X, P, fix_lla[f], fix_v_n[f], fix_cov[f], initial, initial_sd, rooted)
             running = True
             _copy(X, P, X_kept[now % kept], P_kept[now % kept])
         elif running and back < k:
@@ -224,28 +245,49 @@ def align(
                 f = applied[first]
                 starting = first == 0 or X[REFUSED] >= patience
                 if starting and first > 0:
-                    start(X, P, fix_lla[f], fix_v_n[f], fix_cov[f], initial, initial_sd)
+                    start(X, P, fix_lla[f], fix_v_n[f], fix_cov[f], initial, initial_sd, rooted)
                 kinematics(X, time, increments, now, samples, gravity_model, C, f_n, w_b, arm, u)
-                age = time[now] - t_reference[f] + (X[16] if estimated else 0.0)
-                nis, taken = update(
-                    X,
-                    P,
-                    fix_lla[f],
-                    fix_v_n[f],
-                    fix_cov[f],
-                    vibration_variance,
-                    age,
-                    delay_sd,
-                    estimated,
-                    C,
-                    f_n,
-                    w_b,
-                    arm,
-                    u,
-                    math.inf if starting else gate,
-                    innovation,
-                    buffers,
-                )
+                age, limit = time[now] - t_reference[f], math.inf if starting else gate
+                if cubature is None:
+                    nis, taken = update(
+                        X,
+                        P,
+                        fix_lla[f],
+                        fix_v_n[f],
+                        fix_cov[f],
+                        vibration_variance,
+                        age + (X[16] if estimated else 0.0),
+                        delay_sd,
+                        estimated,
+                        C,
+                        f_n,
+                        w_b,
+                        arm,
+                        u,
+                        limit,
+                        innovation,
+                        buffers,
+                    )
+                else:
+                    fill_fix_noise(fix_cov[f], vibration_variance, delay_sd, u, buffers[3])
+                    nis, taken = cubature_update(
+                        X,
+                        P,
+                        fix_lla[f],
+                        fix_v_n[f],
+                        buffers[3],
+                        age,
+                        estimated,
+                        time,
+                        increments,
+                        now,
+                        samples,
+                        gravity_model,
+                        motion,
+                        limit,
+                        innovation,
+                        cubature,
+                    )
                 X[REFUSED] = 0.0 if taken else X[REFUSED] + 1
                 outcome[f] = (INITIALIZED if starting else FUSED) if taken else GATED
                 for i in range(6):
@@ -256,7 +298,11 @@ def align(
             if now == k:
                 break
             now += 1
-            predict(X, P, time, increments, gap_variance, now, noise_density, gravity_model, work)
+            if cubature is None:
+                predict(X, P, time, increments, gap_variance, now, noise_density, gravity_model, work)
+            else:
+                fill_noise(time, gap_variance, now, noise_density, work[6])
+                cubature_predict(X, P, time, increments, now, work[6], gravity_model, work, cubature)
             _copy(X, P, X_kept[now % kept], P_kept[now % kept])
         if not _meaningful(X, P):
             return running, False
@@ -265,10 +311,10 @@ def align(
             for i in range(len(X)):
                 X_out[output, i] = X[i]
             for i in range(len(P)):
-                variance_out[output, i] = P[i, i]
+                variance_out[output, i] = covariance(P, rooted, i, i)
             for i in range(3):
                 for j in range(3):
-                    misalignment_out[output, i, j] = P[6 + i, 6 + j]
+                    misalignment_out[output, i, j] = covariance(P, rooted, 6 + i, 6 + j)
         if output < len(output_epoch) and output_epoch[output] == k:
             output += 1
     return running, True

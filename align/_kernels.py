@@ -39,6 +39,16 @@ def predict(X, P, time, increments, gap_variance, k, noise_density, gravity_mode
     ``gap_variance``, shape (n, 2), what missing samples add to the variances of velocity and misalignment.
     """
     Phi, W, C, increment, previous, f_n, noise = work
+    navigate(X, time, increments, k, gravity_model, increment, previous, f_n)
+    fill_C_nb(X[6:10], C)
+    fill_transition(X[0:3], X[3:6], f_n, C, time[k] - time[k - 1], Phi)
+    fill_noise(time, gap_variance, k, noise_density, noise)
+    predict_covariance(P, Phi, noise, W)
+
+
+@njit(**COMPILED)
+def navigate(X, time, increments, k, gravity_model, increment, previous, f_n):
+    """Carry the state from epoch k - 1 to epoch k, less its biases; ``f_n``, (3,), is written."""
     dt = time[k] - time[k - 1]
     for i in range(3):
         increment[i] = increments[k, i] - X[13 + i] * dt
@@ -46,14 +56,16 @@ def predict(X, P, time, increments, gap_variance, k, noise_density, gravity_mode
         previous[i] = increments[k - 1, i] - X[13 + i] * dt if k > 1 else 0.0
         previous[3 + i] = increments[k - 1, 3 + i] - X[10 + i] * dt if k > 1 else 0.0
     advance(X[0:3], X[3:6], X[6:10], increment, previous, dt, gravity_model, f_n)
-    fill_C_nb(X[6:10], C)
-    fill_transition(X[0:3], X[3:6], f_n, C, dt, Phi)
-    for i in range(len(P)):
-        noise[i] = noise_density[i] * dt
+
+
+@njit(**COMPILED)
+def fill_noise(time, gap_variance, k, noise_density, noise):
+    """Write the variances, (n,), that epoch k adds to the states."""
+    for i in range(len(noise)):
+        noise[i] = noise_density[i] * (time[k] - time[k - 1])
     for i in range(3):
         noise[3 + i] += gap_variance[k, 0]
         noise[6 + i] += gap_variance[k, 1]
-    predict_covariance(P, Phi, noise, W)
 
 
 @njit(**COMPILED)
@@ -136,15 +148,7 @@ def update(
     """
     H, PHt, S, R, K, M, AP, x = buffers
     n_states = len(P)
-    R_N, R_E = radii_of_curvature(X[0])
-    innovation[0] = (X[0] - lla[0]) * (R_N + X[2]) + arm[0, 0] - age * u[0]
-    east = X[1] - lla[1]
-    east -= 2 * math.pi * round(east / (2 * math.pi))  # the date line may lie between
-    innovation[1] = east * (R_E + X[2]) * math.cos(X[0]) + arm[0, 1] - age * u[1]
-    innovation[2] = lla[2] - X[2] + arm[0, 2] - age * u[2]
-    for i in range(3):
-        innovation[3 + i] = X[3 + i] + arm[1, i] - age * u[3 + i] - v_n[i]
-
+    fill_innovation(X, lla, v_n, age, arm, u, innovation)
     for i in range(6):
         for j in range(n_states):
             H[i, j] = 0.0
@@ -168,12 +172,7 @@ def update(
     if estimated:
         for i in range(6):
             H[i, DELAY] = -u[i]
-    for i in range(6):
-        for j in range(6):
-            R[i, j] = cov[i, j] + delay_sd * delay_sd * u[i] * u[j]
-        if i >= 3:
-            R[i, i] += vibration_variance
-
+    fill_fix_noise(cov, vibration_variance, delay_sd, u, R)
     for r in range(n_states):
         for i in range(6):
             s = 0.0
@@ -250,6 +249,29 @@ def update(
         x[r] = s
     correct(X, x)
     return nis, True
+
+
+@njit(**COMPILED)
+def fill_innovation(X, lla, v_n, age, arm, u, innovation):
+    """Write the predicted less the measured fix, (6,), NED in m and m/s, which is ``age`` seconds old."""
+    R_N, R_E = radii_of_curvature(X[0])
+    innovation[0] = (X[0] - lla[0]) * (R_N + X[2]) + arm[0, 0] - age * u[0]
+    east = X[1] - lla[1]
+    east -= 2 * math.pi * round(east / (2 * math.pi))  # the date line may lie between
+    innovation[1] = east * (R_E + X[2]) * math.cos(X[0]) + arm[0, 1] - age * u[1]
+    innovation[2] = lla[2] - X[2] + arm[0, 2] - age * u[2]
+    for i in range(3):
+        innovation[3 + i] = X[3 + i] + arm[1, i] - age * u[3 + i] - v_n[i]
+
+
+@njit(**COMPILED)
+def fill_fix_noise(cov, vibration_variance, delay_sd, u, R):
+    """Write the covariance, (6, 6), of a fix's errors: its own, vibration, and the random part of a delay."""
+    for i in range(6):
+        for j in range(6):
+            R[i, j] = cov[i, j] + delay_sd * delay_sd * u[i] * u[j]
+        if i >= 3:
+            R[i, i] += vibration_variance
 
 
 @njit(**COMPILED)

@@ -9,12 +9,16 @@
     This is the finite-horizon energy-to-peak (l2-linf) filter; `docs/derivations.md` derives it and
     relates it to Theorem 2 of Gao et al.
 
+``ckf_stamped`` and ``srckf_stamped`` are ``ekf_stamped`` by cubature points instead of derivatives, on the
+covariance and on its square root; ``ckf_l2linf`` and ``srckf_l2linf`` likewise stand where ``l2linf`` does.
+
 References
 ----------
 .. [1] C. Gao, J. Lu, G. Zhao, S. Pan, "A Localization and In-flight Alignment Protocol for Airborne
        SINS Based on Flight-vehicle Wireless Sensor Networks", eqs. (10) to (13), Table 1.
 .. [2] P. D. Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation
        Systems", 2nd ed., section 14.2.
+.. [3] I. Arasaratnam, S. Haykin, "Cubature Kalman Filters", IEEE Transactions on Automatic Control 54 (2009).
 """
 
 from numpy.typing import ArrayLike
@@ -24,10 +28,16 @@ from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
 from .estimate import Estimate
 from .problem import pose, run
-from .settings import DelayModel, FilterSettings
+from .settings import DelayModel, FilterSettings, Transform
 
 FILTERS = {"ekf": DelayModel.IGNORED, "ekf_stamped": DelayModel.STAMPED, "l2linf": DelayModel.ESTIMATED}
-"""Filters that a scenario can name."""
+"""Error-state filters by derivatives."""
+CUBATURE_FILTERS = {
+    f"{short}_{name}": (delay, transform)
+    for short, transform in (("ckf", Transform.CUBATURE), ("srckf", Transform.SQUARE_ROOT))
+    for name, delay in (("stamped", DelayModel.STAMPED), ("l2linf", DelayModel.ESTIMATED))
+}
+"""The same by cubature points."""
 
 
 def align(
@@ -40,6 +50,7 @@ def align(
     settings: FilterSettings,
     imu: ImuErrors,
     gravity: GravityModel,
+    transform: Transform = Transform.DERIVATIVES,
 ) -> Estimate:
     """Align over one record, as it would happen: a fix counts from its arrival on.
 
@@ -51,6 +62,7 @@ def align(
         ``restart_after_gated`` refused ones in a row the next one does so again, with the attitude of then
         and the uncertainty of the start.
     delay : how to treat delays. imu : error budget that the filter is told. gravity : model to navigate with.
+    transform : how covariances are carried.
 
     Returns
     -------
@@ -62,4 +74,4 @@ def align(
     """
     problem = pose(time, dtheta_b, dv_b, q_nb_coarse, fixes, delay, settings, imu, gravity)
     horizon = round(settings.horizon_s / problem.dt)
-    return run(problem, horizon, kept=horizon + 1 if delay is DelayModel.STAMPED else 1)[0]
+    return run(problem, horizon, horizon + 1 if delay is DelayModel.STAMPED else 1, transform)[0]

@@ -17,9 +17,9 @@ from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
 from .coarse import align_in_motion
 from .estimate import Array, Estimate, RunOutcome
-from .filters import FILTERS, align
+from .filters import CUBATURE_FILTERS, FILTERS, align
 from .problem import pose, unaligned
-from .settings import DelayModel, FilterSettings
+from .settings import DelayModel, FilterSettings, Transform
 from .smoother import smooth
 
 
@@ -36,14 +36,15 @@ class Method:
     """Whether it runs as fixes arrive, and does not need the whole record."""
 
 
+_POINTS = {Transform.CUBATURE: "cubature points", Transform.SQUARE_ROOT: "points and square roots"}
 _DESIGNING = threading.Lock()
 """A design is kept: the first of many runs makes it, and the others wait for it."""
 
 
-def _filter(delay: DelayModel) -> Callable[..., Estimate]:
+def _filter(delay: DelayModel, transform: Transform = Transform.DERIVATIVES) -> Callable[..., Estimate]:
     def run(*record: Any) -> Estimate:
         *measured, settings, imu, gravity = record
-        return align(*measured, delay=delay, settings=settings, imu=imu, gravity=gravity)
+        return align(*measured, delay=delay, settings=settings, imu=imu, gravity=gravity, transform=transform)
 
     return run
 
@@ -93,6 +94,14 @@ METHODS = {
         DelayModel.IGNORED,
     ),
     "ekf_ten": Method("EKF on the paper's ten states", _ekf_ten, DelayModel.IGNORED),
+    **{
+        name: Method(
+            f"error-state filter by {_POINTS[transform]}, delay {delay.name.lower()}",
+            _filter(delay, transform),
+            delay,
+        )
+        for name, (delay, transform) in CUBATURE_FILTERS.items()
+    },
 }
 """Methods that a scenario can name."""
 

@@ -11,12 +11,12 @@ from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
 from ..sins.mechanization import checked_record
 from ..sins.units import MILLISECOND
-from . import _alignment_kernel
+from . import _alignment_kernel, _cubature_kernel
 from .consistency import chi_square_quantile
 from .estimate import Array, Estimate, RunOutcome
 from .measurement import N_STATES
 from .reception import Integers, Reception, finite_increments, received
-from .settings import DelayModel, FilterSettings, initial_sd, noise_density
+from .settings import DelayModel, FilterSettings, Transform, initial_sd, noise_density
 
 
 class Problem(NamedTuple):
@@ -101,11 +101,17 @@ def pose(
     )
 
 
-def run(problem: Problem, horizon: int, kept: int) -> tuple[Estimate, tuple[Array, Array]]:
+def run(
+    problem: Problem, horizon: int, kept: int, transform: Transform = Transform.DERIVATIVES
+) -> tuple[Estimate, tuple[Array, Array]]:
     """Run the filter; also state (kept, 21) and covariance (kept, n, n) of the last ``kept`` epochs, each
     before its fixes, at the epoch's number modulo ``kept``."""
     outputs = _outputs(problem)
-    memory = _alignment_kernel.working_memory(len(problem.outcome), kept, len(problem.initial_sd))
+    states = len(problem.initial_sd)
+    memory = _alignment_kernel.working_memory(len(problem.outcome), kept, states)
+    cubature = None
+    if transform is not Transform.DERIVATIVES:
+        cubature = _cubature_kernel.points_memory(states, transform is Transform.SQUARE_ROOT)
     started, finite_to_the_end = _alignment_kernel.align(
         problem.time,
         problem.increments,
@@ -127,6 +133,7 @@ def run(problem: Problem, horizon: int, kept: int) -> tuple[Estimate, tuple[Arra
         problem.output_epoch,
         outputs,
         memory,
+        cubature,
     )
     ending = RunOutcome.ALIGNED if finite_to_the_end else RunOutcome.NOT_FINITE
     return _estimate(problem, outputs, ending if started else RunOutcome.NO_FIX), memory[2:4]

@@ -34,6 +34,17 @@ class DelayModel(IntEnum):
     ESTIMATED = _kernels.ESTIMATED
 
 
+class Transform(IntEnum):
+    """How a filter carries a covariance through what is not linear."""
+
+    DERIVATIVES = 0
+    """By the derivatives at the estimate: the extended Kalman filter."""
+    CUBATURE = 1
+    """By points around the estimate, a pair along each axis of the covariance: the cubature Kalman filter."""
+    SQUARE_ROOT = 2
+    """The same on square roots of the covariance, which cannot cease to be one."""
+
+
 Coordinate = Annotated[float, Field(ge=-100, le=100)]
 
 

@@ -8,7 +8,8 @@ from ..network.record import FixFate
 VERMILION, BLUE, GREEN, PINK = "#D55E00", "#3D8FD1", "#009E73", "#CC79A7"
 OLIVE, VIOLET, BROWN = "#B59A00", "#7F6BD6", "#8A5A3B"
 GREY, LIGHT_GREY, YELLOW = "#8C8C8C", "#BBBBBB", "#FFD24A"
-_FILTER_COLORS = (VERMILION, BLUE, GREEN, PINK, OLIVE, VIOLET, BROWN)
+TEAL, CRIMSON, NAVY, ORANGE = "#2FB5AC", "#A00000", "#5267C9", "#F0A030"
+_FILTER_COLORS = (VERMILION, BLUE, GREEN, PINK, OLIVE, VIOLET, BROWN, TEAL, CRIMSON, NAVY, ORANGE)
 
 PATH = "#FFFFFF"
 TRUTH = GREY
@@ -24,7 +25,7 @@ OUTCOME_COLORS = {
     FixOutcome.GATED: VERMILION,
     FixOutcome.DUPLICATE: OLIVE,
     FixOutcome.LATE: PINK,
-    FixOutcome.NOT_FINITE: "#A00000",
+    FixOutcome.NOT_FINITE: CRIMSON,
     FixOutcome.FUTURE: VIOLET,
     FixOutcome.INVALID: BROWN,
 }
@@ -52,7 +53,7 @@ FATE_COLORS = {
 
 def filter_color(name: str) -> str:
     """``#RRGGBB`` of a filter, the same whichever others stand beside it. Raises KeyError for no filter."""
-    return dict(zip(METHODS, _FILTER_COLORS, strict=False))[name]
+    return dict(zip(METHODS, _FILTER_COLORS, strict=True))[name]
 
 
 def rgb(color: str) -> tuple[int, int, int]:
