@@ -4,7 +4,7 @@ Filters keep the colours of `palette`; the bounds are black, dashed with stamps 
 dash-dotted smoothed. A band spans the 5th to the 95th percentile of the runs.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import matplotlib as mpl
@@ -20,11 +20,12 @@ from ..align.estimate import Array
 from ..sins import attitude
 from ..sins.units import DEG, MILLISECOND
 from .drawing import STYLE, WIDTH_IN, legend, log_scale, panels, svg
-from .palette import ALIGNMENT, filter_color
+from .palette import ALIGNMENT, LIGHT_GREY, filter_color
 from .scenery import local_ned, told
 from .score import COLUMNS, FilterScore
 
 Scores = Mapping[str, FilterScore]
+Outages = Sequence[tuple[float, float]]
 
 
 class Clock(NamedTuple):
@@ -35,9 +36,17 @@ class Clock(NamedTuple):
     """s, to be added to the time since the start of the alignment."""
     phases: tuple[tuple[float, str], ...]
     """When they begin, s on this axis, and their names."""
+    outages: tuple[tuple[float, float], ...] = ()
+    """Begin and end, s on this axis."""
+
+    def shade(self, ax: Axes) -> None:
+        """Outages of the fixes."""
+        for number, (begin, end) in enumerate(self.outages):
+            label = "no fixes" if number == 0 else None
+            ax.axvspan(begin, end, color=LIGHT_GREY, alpha=0.35, linewidth=0, label=label)
 
 
-def clock_of(flight: Flight, window: Flight) -> Clock:
+def clock_of(flight: Flight, window: Flight, outages: Outages = ()) -> Clock:
     """Since lift-off where the alignment begins before level flight, else since its own start."""
     start = float(window.time[0])
     from_lift_off = start < flight.phase("level").start_s
@@ -48,6 +57,7 @@ def clock_of(flight: Flight, window: Flight) -> Clock:
         "time since lift-off, s" if from_lift_off else "time from the start of the alignment, s",
         start - zero,
         tuple((phase.start_s - zero, told(phase.name)) for phase in begun),
+        tuple((begin - zero, end - zero) for begin, end in outages),
     )
 
 
@@ -73,13 +83,15 @@ def draw_all(
     bounds: Mapping[str, Array],
     delay_mean_s: float,
     with_bands: bool = True,
+    outages: Outages = (),
 ) -> dict[str, str]:
     """All figures as SVG elements by name; ``delay`` is there if a filter estimates one.
 
     ``bounds`` by name, each (m, 5), as `score.standard_deviations` gives them; ``delay_mean_s`` is that of
-    the fixes; ``with_bands`` shows what independent runs of a consistent filter keep to.
+    the fixes; ``with_bands`` shows what independent runs of a consistent filter keep to; ``outages`` of the
+    fixes, s of the simulation clock.
     """
-    clock = clock_of(flight, window)
+    clock = clock_of(flight, window, outages)
     estimating = {name: score for name, score in scores.items() if np.any(score.delay > 0)}
     with mpl.rc_context(STYLE):
         figures = {
@@ -136,6 +148,7 @@ def _errors(
         known = floor[np.isfinite(floor)]
         log_scale(ax, bottom=0.2 * float(known.min()) if len(known) else None)
     for ax in axes[0]:
+        clock.shade(ax)
         for begin, name in clock.phases:
             ax.axvline(begin, color="#999999", linewidth=0.6, linestyle=":")
             ax.text(
@@ -179,6 +192,7 @@ def _consistency(clock: Clock, scores: Scores, with_bands: bool) -> Figure:
     over_time.axhline(3, color="black", linewidth=0.6)
     over_time.set(ylabel="NEES (3), mean over the runs", xlabel=clock.label)
     log_scale(over_time)
+    clock.shade(over_time)
 
     means = {name: score.nis[np.isfinite(score.nis)] for name, score in scores.items()}
     fixes = max(int(np.median(np.concatenate([score.fused for score in scores.values()]))), 1)

@@ -22,6 +22,7 @@ from ..sins import attitude
 from ..sins.units import DEG, DEG_PER_HOUR, MICRO_G, MILLISECOND
 from .files import whole_file
 from .network_score import NetworkScore
+from .outages import outage_rows
 from .run import Run
 from .scenario import Scenario
 from .score import (
@@ -72,6 +73,9 @@ def summarize_runs(
     variant; ``floor`` (5,) is the bound with stamps known at the end."""
     independent = scenario.fixes.kind != "replay"
     filters = {name: _summarize_filter(score, independent, floor) for name, score in scores.items()}
+    if scenario.outages:
+        for name, score in scores.items():
+            filters[name]["outages"] = outage_rows(scenario, score)
     others = [name for name in scores if name != REFERENCE and REFERENCE in scores and independent]
     paired = {
         f"{name}/{REFERENCE}": _plain_groups(

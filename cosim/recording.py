@@ -23,6 +23,7 @@ Everything stands on one timeline, ``sim_time``, s from brake release. Entities:
 """
 
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,7 @@ def write_recording(
     run: Run,
     bound: Estimate | None = None,
     vibration_mps: float = 0.0,
+    outages: Sequence[tuple[float, float]] = (),
 ) -> None:
     """Write one run as an ``.rrd`` file whose layout opens on the flight, the map and the alignment.
 
@@ -66,6 +68,7 @@ def write_recording(
     flight : the whole of it. window : the part in which the run aligned.
     bound : estimate whose ``sd`` and ``misalignment_cov`` no filter beats.
     vibration_mps : as for `score.standard_deviations`.
+    outages : begin and end, s, of times without fixes.
 
     The same arguments give recordings that are equal (``rerun rrd compare``). Raises OSError.
     """
@@ -92,6 +95,11 @@ def write_recording(
         plot_nis(columns, started, fixes)
     for name, estimate in started.items():
         draw_track(columns, flight.lla[0], name, estimate)
+    for begin, end in outages:
+        for time, text in ((begin, "begin"), (end, "end")):
+            columns.send(
+                "log/outages", [time], rr.TextLog.columns(text=[f"{text} of an outage of the fixes"])
+            )
     for name, estimate in run.estimates.items():
         draw_fixes(columns, flight.lla[0], name, estimate, fixes)
         tell_outcomes(columns, name, estimate, fixes)

@@ -17,8 +17,10 @@ from .figures import BOUND_NAMES, draw_all
 from .network_figures import draw_network
 from .network_report import level, network_tables, variant_rows
 from .network_score import NetworkScore
+from .outages import told_outages
 from .pages import number, write_page
 from .palette import filter_color
+from .run import outage_times
 from .scenario import Scenario
 from .scenery import told
 from .score import COLUMNS, LEAST_RUNS, FilterScore
@@ -55,7 +57,9 @@ def write_report(
         delay_mean_s = float(np.mean(delays)) if len(delays) else np.nan
     else:
         delay_mean_s = scenario.fixes.delay_mean_s
-    figures = draw_all(flight, window, scores, bounds, delay_mean_s, with_bands=not replayed)
+    figures = draw_all(
+        flight, window, scores, bounds, delay_mean_s, not replayed, outage_times(scenario, window)
+    )
     if network is not None:
         figures |= draw_network(*network)
     write_page(
@@ -75,6 +79,7 @@ def write_report(
         outcomes=outcome_table({name: score.fix_outcomes for name, score in scores.items()}),
         network=network_tables(summary["network"]) if network is not None else None,
         variants=variant_rows(summary),
+        outages=told_outages(summary),
         failures={name: score.failures for name, score in scores.items() if score.failures},
         duration_s=float(window.time[-1] - window.time[0]),
         scenario_text=to_toml(scenario.model_dump(mode="json")),

@@ -14,8 +14,9 @@ from itertools import islice
 import numpy as np
 
 from ..aircraft.flight import Flight
+from ..align.bridging.outage import bridged
 from ..align.estimate import Array, Estimate
-from ..align.methods import estimate
+from ..align.methods import METHODS, estimate
 from ..align.settings import FilterSettings
 from ..network.fixes import Fixes
 from ..network.fleet import CentrePath
@@ -76,8 +77,11 @@ def simulate(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> Run:
     fixes, network = fixes_of(scenario, flight, run_id, seed)
     rng = generator(seed, run_id, "coarse attitude")
     q_nb_coarse = coarse_attitude(window.q_nb[0], scenario.alignment.coarse, rng)
-    estimates = {
-        name: estimate(
+    gravity = scenario.alignment.gravity_model(window.gravity)
+    outages = outage_times(scenario, window)
+    estimates: dict[str, Estimate] = {}
+    for name in scenario.alignment.filters:
+        found = estimate(
             name,
             imu.time,
             imu.dtheta_b,
@@ -86,10 +90,13 @@ def simulate(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> Run:
             fixes,
             scenario.alignment.settings,
             scenario.imu,
-            scenario.alignment.gravity_model(window.gravity),
+            gravity,
         )
-        for name in scenario.alignment.filters
-    }
+        if METHODS[name].in_flight:  # what knows the whole record has nothing to bridge
+            found = bridged(
+                found, imu.time, imu.dtheta_b, imu.dv_b, gravity, outages, scenario.alignment.bridging
+            )
+        estimates[name] = found
     return Run(run_id, imu, fixes, q_nb_coarse, estimates, network)
 
 
@@ -101,10 +108,27 @@ def fixes_of(
     flight = at_antenna(flight, true_lever_arm(scenario, run_id, seed))
     window = alignment_window(scenario, flight)
     start_s, end_s = window.time[0], window.time[-1]
+    outages = outage_times(scenario, window)
     if not isinstance(scenario.fixes, FleetNetwork):
-        return draw_fixes(window, start_s, end_s, scenario.fixes, generator(seed, run_id, "fixes")), None
+        drawn = draw_fixes(window, start_s, end_s, scenario.fixes, generator(seed, run_id, "fixes"))
+        return without(drawn, outages), None
     path = CentrePath(flight, flight.time[0], flight.time[-1])
-    return fly_network(path, start_s, end_s, scenario.fixes, partial(generator, seed, run_id))
+    made, network = fly_network(path, start_s, end_s, scenario.fixes, partial(generator, seed, run_id))
+    return without(made, outages), network
+
+
+def outage_times(scenario: Scenario, window: Flight) -> tuple[tuple[float, float], ...]:
+    """Begin and end of the outages, s of the simulation clock."""
+    start_s = float(window.time[0])
+    return tuple((start_s + outage.start_s, start_s + outage.end_s) for outage in scenario.outages)
+
+
+def without(fixes: Fixes, outages: Sequence[tuple[float, float]]) -> Fixes:
+    """Those fixes that are valid in no outage: before its begin, or at its end and after."""
+    kept = np.ones(len(fixes), bool)
+    for begin, end in outages:
+        kept &= (fixes.t_valid < begin) | (fixes.t_valid >= end)
+    return fixes if kept.all() else fixes[kept]
 
 
 def true_lever_arm(scenario: Scenario, run_id: int, seed: int) -> Array:

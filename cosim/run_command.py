@@ -53,10 +53,11 @@ def run(
     from ..align.bound import Knowledge
     from .bound import BOUND_DRAWS, bounds_of, no_bound_because
     from .network_score import NetworkScorer
+    from .outages import told_outages
     from .outputs import estimates_writer, manifest, summarize, write_json
     from .recording import write_recording
     from .report import write_report
-    from .run import alignment_window, compiling_ahead, simulate_all
+    from .run import alignment_window, compiling_ahead, outage_times, simulate_all
     from .scenario import ScenarioError, is_paper, read_scenario
     from .score import Scorer, standard_deviations
     from .variants import run_variants
@@ -127,6 +128,7 @@ def run(
             first,
             bounds[Knowledge.STAMPED],
             settings.imu.vibration_mps,
+            outage_times(settings, window),
         )
         progress(1, 2)
         write_report(
@@ -152,6 +154,8 @@ def run(
             for reason, count in Counter(score.failures.values()).items():
                 told = f"failed {filter_name}: {count} of {score.runs} runs {reason}"
                 out_console.print(told, style="red")
+        for line in told_outages(summary):
+            out_console.print(line)
         for line in settings.paper.remarks if settings.paper else ():
             out_console.print(f"- {line}")
         out_console.print(f"report     {folder / 'report.html'}", soft_wrap=True)

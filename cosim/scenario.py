@@ -12,6 +12,8 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from ..aircraft.mission import FlightPlan
 from ..aircraft.phases import PHASE_NAMES
+from ..align.bridging.outage import LEAST_RECORD_S
+from ..align.bridging.regression import Bridging
 from ..align.filters import FILTERS
 from ..align.methods import METHODS
 from ..align.settings import FilterSettings
@@ -51,6 +53,9 @@ class AlignmentSettings(Settings):
     gravity: Literal["flight", "j2", "somigliana"] = "flight"
     """Gravity model of the navigator; ``flight`` is the one that the aircraft flew in."""
     filters: tuple[str, ...] = tuple(FILTERS)
+    bridging: Bridging = "coast"
+    """What is put out for position and velocity in `outages`: the filter's own prediction, or that of an INS
+    whose error a model has learnt from the record before."""
     settings: FilterSettings = FilterSettings()
 
     @field_validator("start", mode="before")
@@ -86,6 +91,19 @@ class AlignmentSettings(Settings):
         return flown if self.gravity == "flight" else GravityModel[self.gravity.upper()]
 
 
+class Outage(Settings):
+    """A time in which no valid fix is made."""
+
+    start_s: float = Field(ge=0, le=3600)
+    """From the start of the alignment."""
+    duration_s: float = Field(ge=0.01, le=3600)
+
+    @property
+    def end_s(self) -> float:
+        """From the start of the alignment."""
+        return self.start_s + self.duration_s
+
+
 class PaperRow(Settings):
     """One line of a published table."""
 
@@ -116,6 +134,8 @@ class Scenario(Settings):
     imu: ImuErrors = ImuErrors()
     fixes: AnyFixSource = FixSource()
     alignment: AlignmentSettings = AlignmentSettings()
+    outages: tuple[Outage, ...] = Field(default=(), max_length=100)
+    """Times without fixes, whatever their source."""
     variants: dict[str, dict[str, Any]] = Field(default={})
     """Other values for some fields, by their dotted names, under a name for each set."""
     paper: Paper | None = None
@@ -131,6 +151,23 @@ class Scenario(Settings):
                 f"alignment from {start_s:g} s for {alignment.duration_s:g} s does not end before the flight,"
                 f" at {plan.end_s:g} s"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _outages_fit(self) -> "Scenario":
+        window_s, before = self.alignment.duration_s, 0.0
+        for number, outage in enumerate(self.outages):
+            told = f"outages[{number}] from {outage.start_s:g} s for {outage.duration_s:g} s"
+            if outage.end_s > window_s:
+                raise ValueError(f"{told}: must end with the alignment, at {window_s:g} s, or before")
+            if outage.start_s < before:
+                raise ValueError(f"{told}: must not begin before the end of the one before it, {before:g} s")
+            if self.alignment.bridging != "coast" and outage.start_s - before < LEAST_RECORD_S:
+                raise ValueError(
+                    f"{told}: bridging = {self.alignment.bridging!r} learns from {LEAST_RECORD_S:g} s or more"
+                    f" before it; there are {outage.start_s - before:g} s"
+                )
+            before = outage.end_s
         return self
 
     @model_validator(mode="after")

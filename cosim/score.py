@@ -10,6 +10,7 @@ from ..aircraft.flight import Flight
 from ..align.consistency import mean_band, nees
 from ..align.estimate import Array, Estimate, FixOutcome, RunOutcome
 from ..sins import attitude, earth
+from ..sins.error_model import POSITION
 from ..sins.units import ARCMIN, ARCSEC
 from .run import Run
 
@@ -58,6 +59,8 @@ class FilterScore:
     time : (m,) s from the start of the alignment.
     errors : (runs, m, 5), units of `COLUMNS`; NaN before the first fix and in runs that did not last.
     position_errors : (runs, m, 3) NED, m.
+    position_nees : (runs, m) squares of these over the filter's variances, summed: three in the mean, if it
+        knows its errors.
     nees : (runs, m) of the misalignment, three degrees of freedom.
     nis : (runs,) mean over the fused fixes of a run, six degrees of freedom.
     fused : (runs,) number of fused fixes.
@@ -72,6 +75,7 @@ class FilterScore:
     time: Array
     errors: Array
     position_errors: Array
+    position_nees: Array
     nees: Array
     nis: Array
     fused: NDArray[np.int64]
@@ -146,12 +150,14 @@ class Scorer:
             phi = attitude.misalignment(estimate.q_nb, self.truth.q_nb[rows])
             covariance = np.where(np.isfinite(phi)[..., None], estimate.misalignment_cov, np.eye(3))
             misalignment_nees = nees(phi, covariance)
+            position_error = earth.displacement_n(estimate.lla, self.truth.lla[rows])
             fused = estimate.fused
             nis = float(np.mean(estimate.nis[fused])) if fused.any() else np.nan
             self._rows.setdefault(name, []).append(
                 (
                     errors_against(self.truth, estimate),
-                    earth.displacement_n(estimate.lla, self.truth.lla[rows]),
+                    position_error,
+                    np.sum((position_error / estimate.sd[:, POSITION]) ** 2, axis=1),
                     misalignment_nees,
                     np.array(nis),
                     np.array(np.count_nonzero(fused)),
@@ -182,7 +188,7 @@ class Scorer:
         return {name: self._score(name) for name in self.filters}
 
     def _score(self, name: str) -> FilterScore:
-        errors, position_errors, misalignment_nees, nis, fused, delay = map(
+        errors, position_errors, position_nees, misalignment_nees, nis, fused, delay = map(
             np.stack, zip(*self._rows[name], strict=True)
         )
         return FilterScore(
@@ -190,6 +196,7 @@ class Scorer:
             time=self._time - self.truth.time[0],
             errors=errors,
             position_errors=position_errors,
+            position_nees=position_nees,
             nees=misalignment_nees,
             nis=nis,
             fused=fused,

@@ -46,6 +46,7 @@ def a_score(
         time=time,
         errors=scale * SD * rng.standard_normal((*shape, 5)),
         position_errors=rng.standard_normal((*shape, 3)),
+        position_nees=rng.chisquare(3, shape),
         nees=scale**2 * rng.chisquare(3, shape),
         nis=scale**2 * rng.chisquare(6 * 400, runs) / 400,
         fused=np.full(runs, 400),

@@ -26,6 +26,7 @@ def a_score(errors, **more) -> FilterScore:
         time=np.arange(1.0, m + 1),
         errors=np.repeat(errors[:, :, None], 5, axis=2),
         position_errors=np.zeros((runs, m, 3)),
+        position_nees=np.zeros((runs, m)),
         **{"nees": np.zeros((runs, m)), "nis": np.zeros(runs), "fused": np.ones(runs, np.int64), **more},
         delay=np.zeros((runs, m)),
         fix_outcomes=dict.fromkeys(FixOutcome, 0),
