@@ -99,6 +99,30 @@ def test_consistent_over_the_whole_interval(window, smoothed):
     assert mean.max() < high
 
 
+def test_many_fixes_at_one_epoch_are_one_of_their_mean(stated, flight, window, budget):
+    """Ten copies with ten times the covariance say what one fix says; the smoother makes room for them."""
+    times = 10
+    *record, fixes = record_of(stated, flight, window, 0)
+    few = fixes[fixes.t_arrival < record[0][0] + 4]
+    copies = few[np.repeat(np.arange(len(few)), times)]
+    copies = replace(
+        copies, cov=times * copies.cov, source=np.tile(np.arange(times, dtype=np.int64), len(few))
+    )
+    # Vibration is in every fix anew: without it, ten fixes are no more than one.
+    settings, imu, gravity = budget
+    still = imu.model_copy(update={"vibration_mps": 0.0})
+    end = int(np.searchsorted(record[0], record[0][0] + 5))
+    time, dtheta_b, dv_b = (column[:end] for column in record[:3])
+    one, many = (
+        smooth(time, dtheta_b, dv_b, record[3], some, settings, still, gravity) for some in (few, copies)
+    )
+    assert many.count(FixOutcome.FUSED) + many.count(FixOutcome.INITIALIZED) == times * len(few)
+    apart = attitude.misalignment(many.q_nb, one.q_nb)
+    # Copies are linearised one after another, by states that the earlier ones have moved.
+    np.testing.assert_allclose(apart / one.sd[:, 6:9], 0, atol=0.05)
+    np.testing.assert_allclose(many.sd[:, 3:9], one.sd[:, 3:9], rtol=0.02)
+
+
 def test_heading_is_known_from_the_first_second(window, smoothed):
     rows = np.searchsorted(window.time, smoothed[0].time - 0.5 * window.dt)
     phi = np.array([attitude.misalignment(s.q_nb, window.q_nb[rows]) for s in smoothed])
