@@ -88,7 +88,7 @@ def least_squares(seen: Heard, noise: RangeNoise, x0: Array) -> Located:
     return gauss_newton(seen.anchors, seen.ranges, sd, x0, rise=seen.rise)
 
 
-def quasi_likelihood(seen: Heard, noise: RangeNoise, x0: Array, rounds: int = 6) -> Located:
+def quasi_likelihood(seen: Heard, noise: RangeNoise, x0: Array, rounds: int = 50) -> Located:
     """Least squares, each range weighed by its length at the estimate.
 
     Where the measured length gives the weight, a range that is too short by chance counts for a good one,
@@ -99,7 +99,7 @@ def quasi_likelihood(seen: Heard, noise: RangeNoise, x0: Array, rounds: int = 6)
     return _repeated(seen, x0, lambda d: (seen.ranges, seen.sd(noise, d)), rounds)
 
 
-def log_likelihood(seen: Heard, log_sd: float, x0: Array, rounds: int = 6) -> Located:
+def log_likelihood(seen: Heard, log_sd: float, x0: Array, rounds: int = 50) -> Located:
     """Maximum likelihood for path loss (1): least squares of the logarithms of ranges.
 
     Around an estimate a residual of logarithms is one of lengths, ``d (ln r - ln d)``, of deviation
@@ -114,9 +114,14 @@ def log_likelihood(seen: Heard, log_sd: float, x0: Array, rounds: int = 6) -> Lo
 
 
 def _repeated(seen: Heard, x0: Array, terms: Callable[[Array], tuple[Array, Array]], rounds: int) -> Located:
-    """Least squares of ranges and deviations that depend on the distances at the solution before."""
-    found = Located(x0, np.empty(0), np.empty(0, bool))
+    """Gauss-Newton steps with ranges and deviations that depend on the distances at the step before."""
+    x, done = x0, np.zeros(x0.shape[:-1], bool)
+    step = Located(x0, np.empty(0), done)
     for _ in range(rounds):
-        d = distances(found.x, seen.anchors, seen.rise)[0]
-        found = gauss_newton(seen.anchors, *terms(d), found.x, rise=seen.rise)
-    return found
+        d = distances(x, seen.anchors, seen.rise)[0]
+        step = gauss_newton(seen.anchors, *terms(d), x, max_iterations=1, rise=seen.rise)
+        # A node that is done stays where it is, whoever else is in its batch.
+        x, done = np.where(done[..., None], x, step.x), done | step.converged
+        if done.all():
+            break
+    return Located(x, step.cov, done)

@@ -46,8 +46,10 @@ def posterior_mean(seen: Heard, share: float, x0: Array, half_m: Array) -> Regio
         points = _points(*rings, share, x0[i] - half_m[i], x0[i] + half_m[i])
         if not len(points):
             continue
-        weight = -np.log(distances(points, *rings[:2])[0]).sum(axis=-1)
-        weight = np.exp(weight - weight.max())
+        # To first order: the region is far smaller than distances are long.
+        centre = points.mean(axis=0)
+        d, u = distances(centre, *rings[:2])
+        weight = np.exp(-(points - centre) @ np.sum(u / d[:, None], axis=0))
         weight /= weight.sum()
         x[i] = weight @ points
         cov[i] = (points - x[i]).T @ ((points - x[i]) * weight[:, None])

@@ -33,7 +33,7 @@ def distances(x: Array, anchors: Array, rise: Array | float = 0.0) -> tuple[Arra
     distance is the slant one then, and its gradient shorter than a unit vector.
     """
     apart = x[..., None, :] - anchors
-    d = np.hypot(np.linalg.norm(apart, axis=-1), rise)
+    d = np.sqrt(np.einsum("...d,...d->...", apart, apart) + np.square(rise))
     return d, apart / np.maximum(d, 1e-12)[..., None]
 
 
