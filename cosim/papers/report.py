@@ -4,6 +4,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import RenderableType
 from rich.table import Table as TerminalTable
@@ -15,6 +16,15 @@ from .figures import draw_figures
 from .results import Form, Metric, Results, Table, Value, Verdict
 from .scenario import PaperScenario
 
+_SHORT = {
+    Form.PUBLISHED: "pub.",
+    Form.MENDED: "mend",
+    Form.BASELINE: "base",
+    Form.OURS: "ours",
+    Form.BOUND: "",
+}
+_LARGE = 1e5
+"""From which on a figure has an exponent."""
 _VERDICT_STYLES = {Verdict.REPRODUCED: "green", Verdict.PARTLY: "yellow", Verdict.NOT: "red"}
 
 
@@ -67,14 +77,21 @@ def terminal_parts(scenario: PaperScenario, results: Results) -> list[Renderable
     parts: list[RenderableType] = [Text(f"{scenario.title}; {scenario.draws} draws, seed {scenario.seed}")]
     for table in results.tables:
         shown = TerminalTable(title=Text(table.title), box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-        shown.add_column("")
-        for metric in table.metrics:
-            shown.add_column(metric.heading, justify="right")
-        for row in table.rows:
-            cells = [_with_interval(row.values.get(m.key), m) for m in table.metrics]
-            name = f"{row.method} ({row.form})" if row.form is not Form.BOUND else row.method
-            shown.add_row(name, *cells, style="dim" if row.form is Form.BOUND else None)
+        metrics = [metric for metric in table.metrics if metric.brief]
+        cells = [[_cell(row.values.get(m.key), m) for m in metrics] for row in table.rows]
+        shown.add_column("", min_width=18)
+        shown.add_column("", no_wrap=True, min_width=4)
+        for metric, column in zip(metrics, zip(*cells, strict=True), strict=True):
+            shown.add_column(
+                metric.heading, justify="right", min_width=max(map(len, column)), overflow="fold"
+            )
+        for row, numbers in zip(table.rows, cells, strict=True):
+            style = "dim" if row.form is Form.BOUND else None
+            shown.add_row(row.method, _SHORT[row.form], *numbers, style=style)
         parts.append(shown)
+    parts.append(
+        Text("pub.: as published; mend: as mended; base: plain baseline. 95 % intervals: report and JSON.")
+    )
     for claim in results.claims:
         parts.append(
             Text.assemble(
@@ -87,18 +104,14 @@ def terminal_parts(scenario: PaperScenario, results: Results) -> list[Renderable
 
 
 def _cell(value: Value | None, metric: Metric) -> str:
-    return "" if value is None else number(value.value, metric.digits)
+    return "" if value is None else _number(value.value, metric)
 
 
 def _interval(value: Value | None, metric: Metric) -> str:
-    known = value is not None and number(value.low, 0)[-1].isdigit()
-    return (
-        f"{number(value.low, metric.digits)} to {number(value.high, metric.digits)}"
-        if value and known
-        else ""
-    )
+    if value is None or not (np.isfinite(value.low) and np.isfinite(value.high)):
+        return ""
+    return f"{_number(value.low, metric)} to {_number(value.high, metric)}"
 
 
-def _with_interval(value: Value | None, metric: Metric) -> str:
-    interval = _interval(value, metric)
-    return f"{_cell(value, metric)}\n{interval}" if interval else _cell(value, metric)
+def _number(value: float, metric: Metric) -> str:
+    return f"{value:.1e}" if _LARGE <= abs(value) < np.inf else number(value, metric.digits)

@@ -51,6 +51,8 @@ class Metric:
     digits: int
     about: str
     """What it is, in a line."""
+    brief: bool = True
+    """Whether the terminal's table has it, in which there is room for some six."""
 
 
 @dataclass(frozen=True)
