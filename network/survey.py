@@ -11,7 +11,8 @@ import numpy as np
 from ..sins import earth
 from .fleet import OWN_SHIP, Fleet, FleetSettings
 from .localization.chain import LocalizationSettings
-from .localization.tracking import Epochs, Tracker
+from .localization.following import Follower
+from .localization.tracking import Epochs, Track, Tracker
 from .radio import Radio
 from .record import Array, Integers
 from .topology import Topology
@@ -59,6 +60,11 @@ class _Sight:
     C_en: Array
     clock_offset: Array
 
+    @property
+    def frames(self) -> tuple[Array, Array, Array]:
+        """Times (k,), origins (k, 3) and axes (k, 3, 3) of the epochs' frames."""
+        return self.epochs.t, self.centre_e, self.C_en
+
 
 def survey(
     fleet: Fleet,
@@ -73,7 +79,9 @@ def survey(
     The result does not depend on the number of cores.
     """
 
-    def located(sights: list[_Sight]) -> list[Survey]:
+    follower = Follower(settings) if settings.tracker != "epoch" else None
+
+    def located(sights: list[_Sight], before: Future[list[Survey]] | None) -> list[Survey]:
         tracker = Tracker(
             fleet.formation.anchor,
             settings,
@@ -82,15 +90,24 @@ def survey(
             radio.settings.assumed_altitude_sd_m,
             radio.settings.clock if radio.settings.ranging == "one_way" else None,
         )
-        return [_located(tracker, sight) for sight in sights]
+        tracks = [tracker.advance(sight.epochs) for sight in sights]
+        if follower is not None:
+            if before is not None:
+                before.result()  # It carries on from segment to segment.
+            tracks = [
+                follower.advance(track, *sight.frames) for track, sight in zip(tracks, sights, strict=True)
+            ]
+        return [_located(track, sight) for track, sight in zip(tracks, sights, strict=True)]
 
     parts: list[Survey] = []
+    latest: Future[list[Survey]] | None = None
     pending: deque[Future[list[Survey]]] = deque()
     workers = os.cpu_count() or 1
     with ThreadPoolExecutor(workers) as pool:
         # Observed in order, since a radio's draws carry on from chunk to chunk.
         for sights in _segments(fleet, radio, topology, t):
-            pending.append(pool.submit(located, sights))
+            latest = pool.submit(located, sights, latest)
+            pending.append(latest)
             if len(pending) > workers:
                 parts += pending.popleft().result()
         for future in pending:
@@ -135,9 +152,8 @@ def _seen(fleet: Fleet, radio: Radio, topology: Topology, t: Array) -> _Sight:
     return _Sight(epochs, x, v_e @ C_en, lla, centre_e, C_en, seen.clock_offset)
 
 
-def _located(tracker: Tracker, sight: _Sight) -> Survey:
-    """Where a chunk's measurements put the nodes."""
-    track = tracker.advance(sight.epochs)
+def _located(track: Track, sight: _Sight) -> Survey:
+    """A chunk's estimates, less the truth, and the own ship's in its own axes."""
     own_e = sight.centre_e + np.einsum("kij,kj->ki", sight.C_en, track.x[:, OWN_SHIP])
     own_lla = earth.lla_from_ecef(own_e)
     # From the axes of the fleet's centre to those of the own ship.

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from ...sins._kernels import COMPILED
-from ._cholesky import covariance_blocks, factorize
+from ._cholesky import covariance_blocks, factorize, product
 from ._dense import Terms, evaluate, minimize, sight, support
 
 _MOST_MISFIT = 9.0
@@ -32,9 +32,10 @@ def track(
     ranges, w_range, rates, w_rate : (k, m). beliefs : (k, n, B) of anchors. heights : (k, n).
     most : greatest number of iterations an epoch.
     out : states (k, n, B); covariance of node 0 (k, B, B); covariances of all at the first epoch (n, B, B);
-        misfit (k, n), residuals in it (k, n) and usable neighbours (k, n), as of `_misfits`; converged (k,).
+        misfit (k, n), residuals in it (k, n) and usable neighbours (k, n), as of `_misfits`; converged (k,);
+        the part of those covariances that is of the anchors' errors (n, B, B), or (0, B, B) if not asked for.
     """
-    states, own_cov, cov, misfit, residuals, neighbours, converged = out
+    states, own_cov, cov, misfit, residuals, neighbours, converged, shared = out
     n, B = S.shape
     V = 4 if first.clocks else 3
     N = 0
@@ -86,6 +87,8 @@ def track(
             for i in range(n):
                 if place[i] >= 0:
                     cov[i] = blocks[place[i]]
+            if len(shared) > 0:
+                _of_anchors(A, place, first.w_prior, shared)
         _misfits(S, terms, misfit[k], residuals[k], neighbours[k])
 
 
@@ -111,6 +114,33 @@ def _predict(S, last, place, dt, V):
         for i in range(n):
             if place[i] >= 0:
                 S[i, 3] += S[i, 7] * dt
+
+
+@njit(**COMPILED)
+def _of_anchors(V, place, w_prior, shared):
+    """What the errors of anchors, with information ``w_prior`` (n, B), make of each node's covariance.
+
+    ``V`` is the inverse of the factor, as `covariance_blocks` leaves it: ``V V'`` is the covariance, and its
+    block beside an anchor is what a node moves by with the information that the anchor brings.
+    """
+    n, B = w_prior.shape
+    shared[:] = 0.0
+    moved = np.empty(B)
+    for i in range(n):
+        if place[i] < 0:
+            continue
+        for j in range(n):
+            if place[j] < 0 or w_prior[j, 0] == 0:
+                continue
+            for b in range(B):
+                column = place[j] * B + b
+                for a in range(B):
+                    row = place[i] * B + a
+                    start = max(row, column)
+                    moved[a] = product(V[row, start:], V[column, start:])
+                for a in range(B):
+                    for c in range(B):
+                        shared[i, a, c] += w_prior[j, b] * moved[a] * moved[c]
 
 
 @njit(**COMPILED)

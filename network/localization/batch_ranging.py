@@ -11,8 +11,9 @@ def batch(references: Array, ranges: Array, range_sd: Array, x0: Array, huber: f
     """Weighted least squares (..., e, 2) of all ranges (..., n, e, m) to ``references`` (m, 2) in n cycles.
 
     Their covariance is scaled by what residuals tell of the noise, one scale for all e elements, so that
-    deviations ``range_sd`` (..., n, e, m) need be known in proportion only; for Huber's loss by the asymptotic
-    factor of an M-estimator. Without residuals, in the first cycle of two references, it is as stated.
+    deviations ``range_sd`` (..., n, e, m) need be known in proportion only; for Huber's loss by the
+    asymptotic factor of an M-estimator. Without residuals, in the first cycle of two references, it is as
+    stated.
     """
     n, e, m = ranges.shape[-3:]
     z, sd = (np.moveaxis(a, -3, -2).reshape(*a.shape[:-3], e, n * m) for a in (ranges, range_sd))

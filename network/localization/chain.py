@@ -51,6 +51,13 @@ class LocalizationSettings(Settings):
     """Start anew by semidefinite programming when positions stay uncertain; seconds of work, up to 50
     nodes."""
     max_iterations: int = Field(default=50, ge=1, le=1000)
+    tracker: Literal["epoch", "kalman", "regularized", "adaptive", "regularized_adaptive"] = "epoch"
+    """How epochs in a row go together: `epoch`, each by itself; else by a filter of `repeated_ranging`."""
+    maneuver_acceleration_mps2: float = Field(default=6.0, ge=0, le=1000)
+    """Standard deviation of each component of a node's acceleration, as its tracker takes it."""
+    discrepancy_limit: float = Field(default=3.0, ge=1, le=1000)
+    """Mean squared discrepancy of an epoch from what its tracker predicts, over its variance, that is taken
+    for noise; `regularized` and `regularized_adaptive` doubt what is beyond."""
 
 
 def usable_nodes(problem: RangeProblem, min_neighbors: int = 4) -> Booleans:

@@ -75,6 +75,11 @@ class Track:
     """(n, 6) of each node's position and velocity, at the first of the epochs; NaN for nodes without."""
     outcome: Integers
     """(k, n) `NodeOutcome`."""
+    cov: Array
+    """(n, 6, 6) of each node's position and velocity, at the first of the epochs; NaN likewise."""
+    shared: Array
+    """(n, 6, 6) the part of ``cov`` that is of the anchors' errors, the same at all epochs; (0, 6, 6) where
+    each epoch stands by itself (`LocalizationSettings.tracker`)."""
 
 
 class _Component(NamedTuple):
@@ -143,7 +148,7 @@ class Tracker:
         w_range, w_rate = joined * epochs.range_sd**-2.0, joined * epochs.rate_sd**-2.0
         terms = self._terms(epochs, beliefs[0], w_range[0], w_rate[0])
         states, own_cov = np.empty((k, n, B)), np.empty((k, B, B))
-        cov = np.empty((n, B, B))
+        cov, shared = np.empty((n, B, B)), np.empty((0 if self._settings.tracker == "epoch" else n, B, B))
         misfit, residuals = np.empty((k, n)), np.empty((k, n), np.int64)
         neighbours, converged = np.empty((k, n), np.int64), np.empty(k, np.bool_)
         heights = np.broadcast_to(terms.height, (k, n)) if epochs.height is None else epochs.height
@@ -163,11 +168,13 @@ class Tracker:
             self._weak,
             TOLERANCE,
             _ITERATIONS,
-            (states, own_cov, cov, misfit, residuals, neighbours, converged),
+            (states, own_cov, cov, misfit, residuals, neighbours, converged, shared),
         )
         self._t = float(epochs.t[-1])
-        own_cov = own_cov[:, self._kinematic][:, :, self._kinematic]
-        sd = np.sqrt(np.einsum("nii->ni", cov))[:, self._kinematic]
+        own_cov, cov, shared = (
+            part[:, self._kinematic][:, :, self._kinematic] for part in (own_cov, cov, shared)
+        )
+        sd = np.sqrt(np.einsum("nii->ni", cov))
         spread = np.tile(np.sqrt(np.sum(sd[:, :3] ** 2, axis=-1)), (k, 1))
         spread[:, OWN_SHIP] = np.sqrt(np.einsum("kii->k", own_cov[:, :3, :3]))
 
@@ -183,7 +190,8 @@ class Tracker:
         kept = np.isin(outcome, [NodeOutcome.LOCATED, NodeOutcome.ANCHOR])[..., None]
         own_cov[outcome[:, OWN_SHIP] != NodeOutcome.LOCATED] = np.nan
         x, v = states[..., :3], states[..., self._kinematic[3] : self._kinematic[5] + 1]
-        return Track(np.where(kept, x, np.nan), np.where(kept, v, np.nan), own_cov, sd, outcome)
+        x, v = np.where(kept, x, np.nan), np.where(kept, v, np.nan)
+        return Track(x, v, own_cov, sd, outcome, cov, shared)
 
     def _start(self, epochs: Epochs) -> None:
         """Locate nodes that are not started from the ranges of the first epoch alone."""
