@@ -45,7 +45,7 @@ def localize(
 
     Scenarios of companion papers run the experiment of their paper.
     """
-    from .localize_studies import MOST_NODES, study_fleet, study_scale, with_network
+    from .localize_studies import MOST_NODES, Told, study_fleet, study_ground, study_scale, with_network
     from .outputs import write_json
     from .papers.command import Asked, study_paper
     from .scenario import is_paper, read_scenario
@@ -60,7 +60,12 @@ def localize(
         raise InputError(f"--draws {draws}: at least 1")
     name, settings = loaded(scenario, seed=seed)
     large = nodes is not None and nodes > MOST_NODES
-    settings = settings if large else with_network(settings, scenario, nodes)
+    grounded = settings.ground is not None and not large
+    # A scenario of nodes on the ground need not have a network besides.
+    networked = not grounded or settings.fixes.kind == "network"
+    if not networked and nodes is not None:
+        raise InputError(f"--nodes {nodes}: {scenario} has no network; those on the ground are ground.nodes")
+    settings = with_network(settings, scenario, nodes) if networked and not large else settings
     folder, silent = output_folder(out or Path(f"fleetalign-localize-{name}")), quiet or as_json
     if nodes is not None and large:
         with progress_bar(f"locating {nodes} nodes", silent) as progress:
@@ -68,13 +73,21 @@ def localize(
     else:
         flight = flown(settings, no_cache, silent)
         command = command_as_typed()
-        with progress_bar("localizing", silent) as progress:
-            told = study_fleet(name, settings, flight, draws, folder / "localize.html", command, progress)
+        told = Told({"scenario": name, "seed": settings.seed}, [])
+        if networked:
+            with progress_bar("localizing", silent) as progress:
+                page = folder / "localize.html"
+                told = study_fleet(name, settings, flight, draws, page, command, progress)
+        if grounded:
+            with progress_bar("locating nodes on the ground", silent) as progress:
+                page = folder / "ground.html"
+                ground = study_ground(name, settings, flight, draws, page, command, progress)
+            told = Told({**told.summary, "ground": ground.summary}, [*told.parts, *ground.parts])
     write_json(folder / "localize.json", told.summary)
     if as_json:
         typer.echo(json.dumps(told.summary, indent=2, allow_nan=False))
     elif not quiet:
         for part in told.parts:
             out_console.print(part)
-        for path in sorted(folder.glob("localize.*")):
+        for path in sorted([*folder.glob("localize.*"), *folder.glob("ground.html")]):
             out_console.print(str(path), soft_wrap=True)

@@ -13,6 +13,8 @@ from ..aircraft.flight import Flight
 from ..network.fleet_network import FleetNetwork
 from ..network.localization.large import LINK_RADIUS_M, RANGE_SD_M, large_study
 from ..network.localization.problem import NodeOutcome
+from .ground import locate_ground
+from .ground_report import ground_table, summarize_ground, write_ground
 from .localize import LocalizeStudy, Progress, run_study
 from .localize_command import LARGEST
 from .localize_report import localize_tables, summarize, write_localize
@@ -93,6 +95,26 @@ def study_fleet(
     write_localize(page, scenario.title, results, summary, command)
     lines = [Text(f"- {verdict['line']}") for verdict in summary["verdicts"]]
     return Told(summary, [*localize_tables(scenario.title, summary), *lines])
+
+
+def study_ground(
+    name: str,
+    scenario: Scenario,
+    flight: Flight,
+    draws: int,
+    page: Path,
+    command: str,
+    progress: Progress | None = None,
+) -> Told:
+    """Locate the scenario's nodes on the ground, and write the page. Raises `ScenarioError`, OSError."""
+    assert scenario.ground
+    try:
+        found = locate_ground(flight, scenario.ground, draws, scenario.seed, progress)
+    except ValueError as error:
+        raise ScenarioError(f"{name}: {error}") from error
+    summary = summarize_ground(scenario.ground, found)
+    write_ground(page, scenario.title, found, summary, command)
+    return Told(summary, [ground_table(summary)])
 
 
 def study_scale(nodes: int, seed: int, progress: Progress | None = None) -> Told:

@@ -17,6 +17,7 @@ from ..align.bridging.regression import Bridging
 from ..align.filters import FILTERS
 from ..align.methods import METHODS
 from ..align.settings import FilterSettings
+from ..network.ground import GroundSettings
 from ..network.source import AnyFixSource, FixSource
 from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
@@ -136,6 +137,8 @@ class Scenario(Settings):
     alignment: AlignmentSettings = AlignmentSettings()
     outages: tuple[Outage, ...] = Field(default=(), max_length=100)
     """Times without fixes, whatever their source."""
+    ground: GroundSettings | None = None
+    """Nodes on the ground that `localize` locates by the aircraft."""
     variants: dict[str, dict[str, Any]] = Field(default={})
     """Other values for some fields, by their dotted names, under a name for each set."""
     paper: Paper | None = None
@@ -168,6 +171,15 @@ class Scenario(Settings):
                     f" before it; there are {outage.start_s - before:g} s"
                 )
             before = outage.end_s
+        return self
+
+    @model_validator(mode="after")
+    def _ground_inside_the_flight(self) -> "Scenario":
+        if self.ground and self.ground.end_s > self.flight.end_s:
+            raise ValueError(
+                f"ground.start_s = {self.ground.start_s:g} s: with duration_s = {self.ground.duration_s:g} s"
+                f" does not end before the flight, at {self.flight.end_s:g} s"
+            )
         return self
 
     @model_validator(mode="after")
