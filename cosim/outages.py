@@ -44,9 +44,9 @@ def told_outages(summary: dict[str, Any]) -> list[str]:
             for outage in row.get("outages", []):
                 end_s = outage["start_s"] + outage["duration_s"]
                 lines.append(
-                    f"{label}{name}, outage {outage['start_s']:g} to {end_s:g} s: at its end"
+                    f"{label}{name}, end of outage {outage['start_s']:g} to {end_s:g} s:"
                     f" {_told(outage['position_m'], 1)} m, {_told(outage['velocity_mps'], 3)} m/s,"
-                    f" squares of position errors over variances {_told(outage['position_nees'], 1)} of 3"
+                    f" NEES of position {_told(outage['position_nees'], 1)} of 3"
                 )
     return lines
 
