@@ -3,7 +3,7 @@
 from functools import partial
 
 from fleetalign.align.filters import FILTERS, align
-from fleetalign.align.settings import DelayModel
+from fleetalign.align.settings import DelayModel, Transform
 
 from .harness import Harness, Row
 from .material import Material
@@ -40,4 +40,21 @@ def rows(harness: Harness, material: Material) -> list[Row]:
                 " sample.",
             )
         )
-    return found
+    return [*found, _by_points(harness, material, samples)]
+
+
+def _by_points(harness: Harness, material: Material, samples: int) -> Row:
+    """The square-root cubature filter against the same filter by derivatives."""
+    arguments = material.alignment("ekf_stamped")
+    subjects = {
+        "ours": partial(align, *arguments, Transform.SQUARE_ROOT),
+        "ekf": partial(align, *arguments),
+    }
+    times = harness.times("filter srckf_stamped", subjects, rounds=3, repeats={"ours": 3, "ekf": 20})
+    return Row(
+        "Filter `srckf_stamped`, 32 points, one core",
+        times["ours"].rate(samples),
+        f"`ekf_stamped`: {times['ekf'].rate(samples)}",
+        f"{times['ekf'].best / times['ours'].best:.3f} times",
+        note="Each point goes through the mechanisation at every sample.",
+    )
