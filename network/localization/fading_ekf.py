@@ -108,7 +108,14 @@ def step(
     R = f.R + _diagonal(np.broadcast_to(extra, innovation.shape))
     lam = fading_factor(f, innovation, H, R, heard, settings.max_fading)
     P = lam[..., None, None] * f.P + f.Q  # (8), (17); by (16) the state stays
-    after = kalman_update(f.x, P, innovation, H, R)  # (18) to (20)
+    try:
+        after = kalman_update(f.x, P, innovation, H, R)  # (18) to (20)
+    except np.linalg.LinAlgError:
+        # Of a filter that diverges rounding leaves a singular matrix: it may be lost, the batch is not.
+        size = 1e-9 * np.abs(H @ P @ transposed(H) + R).max(axis=(-1, -2))
+        after = kalman_update(
+            f.x, P, innovation, H, R + _diagonal(np.broadcast_to(size[..., None], innovation.shape))
+        )
     Q, own_R = f.Q, f.R
     if settings.noise != "fixed":
         share = sage_share(k, settings.sage_forgetting)
