@@ -140,30 +140,24 @@ def ground_table(summary: dict[str, Any]) -> Table:
 
 def ground_rows(summary: dict[str, Any]) -> tuple[list[str], list[tuple[str, list[str]]]]:
     """Headings, and name and cells of each estimator and of the bound."""
-    headings = [
-        "located",
-        "ambiguous",
-        "flipped",
-        "horizontal, m",
-        "vertical, m",
-        "RMSE / bound",
-        "NEES of 3",
-    ]
+    headings = ["located", "ambiguous", "flipped", "RMSE, m:\nhor., vert.", "RMSE / bound", "NEES of 3"]
     rows: list[tuple[str, list[str]]] = []
     for name, score in summary["estimators"].items():
-        interval, band = score["over_bound_ci95"], score["nees_band95"]
-        over = number(score["over_bound"], 3)
-        if interval:
-            over += f" ({number(interval[0], 3)} to {number(interval[1], 3)})"
-        consistency = number(score["nees"], 2)
-        if band:
-            consistency += f" ({number(band[0], 2)} to {number(band[1], 2)})"
-        cells = [percent(score[key], 1) for key in ("located", "ambiguous", "flipped")]
-        cells += [number(score["rmse"][key], 2) for key in ("horizontal_m", "vertical_m")]
-        rows.append((NAMES[name], [*cells, over, consistency]))
-    bound = [number(summary["bound"][key], 2) for key in ("horizontal_m", "vertical_m")]
-    rows.append(("bound", [percent(summary["hear_enough"], 1), "", "", *bound, "", ""]))
-    return headings, rows
+        shares = [percent(score[key], 1) for key in ("located", "ambiguous", "flipped")]
+        over = _with_range(score["over_bound"], score["over_bound_ci95"], 3)
+        consistency = _with_range(score["nees"], score["nees_band95"], 2)
+        rows.append((NAMES[name], [*shares, _components(score["rmse"]), over, consistency]))
+    bound = [percent(summary["hear_enough"], 1), "", "", _components(summary["bound"]), "", ""]
+    return headings, [*rows, ("bound", bound)]
+
+
+def _components(rmse: dict[str, float | None]) -> str:
+    return ", ".join(number(rmse[key], 1) for key in ("horizontal_m", "vertical_m"))
+
+
+def _with_range(value: float | None, ends: list[float] | None, digits: int) -> str:
+    told = number(value, digits)
+    return f"{told}\n{number(ends[0], digits)} to {number(ends[1], digits)}" if ends else told
 
 
 def write_ground(path: Path, title: str, found: Ground, summary: dict[str, Any], command: str) -> None:

@@ -1,5 +1,7 @@
 """Figures 4 to 8 of Xu, Wang and Chen, drawn again: one deployment, Monte Carlo runs as printed."""
 
+from typing import Literal
+
 import numpy as np
 
 from .results import Curve, Panel, PaperFigure
@@ -7,18 +9,18 @@ from .xu2019_runs import Shown
 from .xu2019_settings import MovingAnchor
 
 LINES = {
-    "linear": "MLE: linear, as printed",
-    "ckf_wide": "CKF, as published",
-    "srckf_wide": "SR-CKF without threshold",
-    "srckf_printed": "SR-CKF with threshold, as published",
-    "srckf": "SR-CKF, start of its own",
-    "exact": "mean of where the rings meet",
+    "linear": "MLE, linear",
+    "ckf_wide": "CKF",
+    "srckf_wide": "SR-CKF",
+    "srckf_printed": "SR-CKF with threshold",
+    "srckf": "SR-CKF as mended",
+    "exact": "mean of rings",
 }
 MAPS = {
     "linear": "Fig. 5: linear",
     "ckf_wide": "Fig. 6: CKF",
     "srckf_printed": "Fig. 7: SR-CKF with threshold",
-    "srckf": "SR-CKF, start of its own",
+    "srckf": "SR-CKF as mended",
 }
 
 
@@ -51,17 +53,22 @@ def figures(settings: MovingAnchor, runs: dict[float, Shown]) -> tuple[PaperFigu
 def _by_node(radius: float, shown: Shown) -> Panel:
     number = np.arange(1.0, len(shown.x) + 1)
     curves = tuple(
-        Curve(label, number, np.linalg.norm(shown.errors[key], axis=-1).mean(axis=0))
+        Curve(label, number, np.linalg.norm(shown.errors[key], axis=-1).mean(axis=0), look=_look(key))
         for key, label in LINES.items()
     )
     return Panel("node", "mean error, m", curves, f"radius {radius:g} m", log_y=True)
+
+
+def _look(key: str) -> Literal["line", "crosses"]:
+    # What the square root's line lies on.
+    return "crosses" if key == "ckf_wide" else "line"
 
 
 def _by_run(radius: float, shown: Shown) -> Panel:
     curves = []
     for key, label in LINES.items():
         mse = np.sum(shown.errors[key] ** 2, axis=-1).mean(axis=1)
-        curves.append(Curve(label, np.arange(1.0, len(mse) + 1), mse))
+        curves.append(Curve(label, np.arange(1.0, len(mse) + 1), mse, look=_look(key)))
     return Panel("run", "mean squared error, m²", tuple(curves), f"radius {radius:g} m", log_y=True)
 
 

@@ -141,6 +141,7 @@ def on_the_ground(fix: Fix, passed: Passed, own_sd: float) -> Fix:
 
 def begun(passed: Passed) -> Start:
     """Least squares of the first ranges, as many as it takes until what they leave open is nearly normal."""
+    few, passed = _few(passed), _all_for_the_deaf(passed)
     count = np.cumsum(passed.heard, axis=-1)
     early = np.zeros(passed.heard.shape, bool)
     x, cov, cost = _both(passed)
@@ -158,16 +159,12 @@ def begun(passed: Passed) -> Start:
         cov = np.where(begins[..., None, None], cov_now, cov)
         cost = np.where(begins, cost_now, cost)
         pending &= ~begins
-    return Start(x, cov, cost, passed.among(~early), _few(passed))
+    return Start(x, cov, cost, passed.among(~early), few)
 
 
 def _both(passed: Passed) -> tuple[Array, Array, Array]:
-    """Solutions (2, ..., 3) on both sides, covariances, and half the sums of squared residuals.
-
-    Nodes that hear too little are given all beacons, so that there is something to solve; `_chosen` drops
-    them.
-    """
-    passed = replace(passed, heard=passed.heard | _few(passed)[..., None])
+    """Solutions (2, ..., 3) on both sides, covariances, and half the sums of squared residuals."""
+    passed = _all_for_the_deaf(passed)
     x = _starts(passed)
     terms = passed.with_height(x)
     found = gauss_newton(*terms, x)
@@ -215,6 +212,11 @@ def _chosen(few: Booleans, x: Array, cov: Array, log_likelihood: Array) -> Fix:
         np.where(few[..., None, None], np.nan, of(cov, best)),
         near & (apart > spread) & ~few,
     )
+
+
+def _all_for_the_deaf(passed: Passed) -> Passed:
+    """All beacons for nodes that hear too little, to have something to solve; `_chosen` drops them."""
+    return replace(passed, heard=passed.heard | _few(passed)[..., None])
 
 
 def _few(passed: Passed) -> Booleans:
