@@ -8,6 +8,7 @@ for granted: their own way to it, which over several hops takes as many frames, 
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal, Self
 
 import numpy as np
@@ -15,16 +16,19 @@ from numpy.random import Generator
 from pydantic import Field, model_validator
 
 from ..sins.settings import Settings
+from ..sins.units import MILLISECOND
+from .broadcasts import Broadcasts, check_sweeps, draw_broadcasts
 from .fixes import Fixes, FixesError
 from .fleet import OWN_SHIP, CentrePath, Fleet, FleetSettings, draw_formation
 from .localization.chain import LocalizationSettings
 from .localization.problem import NodeOutcome
 from .protocol import ProtocolError, ProtocolSettings, carry, solvers
 from .radio import Radio, RadioSettings
-from .record import FixFate, Integers, NetworkRecord
+from .record import Array, FixFate, Integers, NetworkRecord
 from .survey import survey
+from .tdma import slots_between
 from .topology import draw_topology
-from .traffic import PacketFate, periodic_traffic
+from .traffic import Deliveries, PacketFate, periodic_traffic
 
 WARM_UP_S = 2.0
 """Time for which the network carries packets before the first epoch, so that its queues are as they are."""
@@ -50,6 +54,8 @@ class FleetNetwork(Settings):
         try:
             self.protocol.check(fleet.nodes)
             self.protocol.guard(min(self.radio.link_radius_m, across))
+            if self.localization.solver == "distributed":
+                check_sweeps(self.localization.sweeps, fleet.nodes, self.rate_hz, self.protocol)
         except ProtocolError as error:
             raise ValueError(str(error)) from error
         return self
@@ -85,31 +91,35 @@ def fly_network(
     update_s = settings.protocol.route_update_s
     tables = np.arange(start_s - warm_up_s, end_s + 1e-9, update_s)
     topology = draw_topology(fleet, radio, tables, settings.protocol, heads_rng)
-    found = survey(fleet, radio, topology, t, settings.fleet, settings.localization)
-
-    solver = solvers(formation.solver_key)
     early = int(warm_up_s * settings.rate_hz)
-    traffic = periodic_traffic(
-        solver, np.arange(formation.nodes), start_s - early / settings.rate_hz, end_s, 1 / settings.rate_hz
-    )
-    deliveries = carry(
-        traffic,
-        topology.time,
-        topology.distance,
-        topology.linked,
-        settings.protocol,
-        formation.slot_key,
-        settings.radio.loss_probability,
-        losses_rng,
-        end_s + AFTER_S,
-        topology.head if settings.protocol.kind == "leach" else None,
-    )
-    own = np.flatnonzero(traffic.destination == OWN_SHIP)[-k:]
-    maker = int(solver[OWN_SHIP])
-    fate = _fates(found.outcome[:, OWN_SHIP], deliveries.fate[own])
+    first_s, last_s = start_s - early / settings.rate_hz, end_s + AFTER_S
+    if settings.localization.solver == "distributed":
+        sweeps, loss = settings.localization.sweeps, settings.radio.loss_probability
+        told = draw_broadcasts(t, sweeps, formation.slot_key, settings.protocol, loss, losses_rng)
+        found = survey(fleet, radio, topology, t, settings.fleet, settings.localization, told.lost)
+        service = _broadcast(told, early, settings.protocol, first_s, last_s)
+    else:
+        found = survey(fleet, radio, topology, t, settings.fleet, settings.localization)
+        solver = solvers(formation.solver_key)
+        traffic = periodic_traffic(solver, np.arange(formation.nodes), first_s, end_s, 1 / settings.rate_hz)
+        deliveries = carry(
+            traffic,
+            topology.time,
+            topology.distance,
+            topology.linked,
+            settings.protocol,
+            formation.slot_key,
+            settings.radio.loss_probability,
+            losses_rng,
+            last_s,
+            topology.head if settings.protocol.kind == "leach" else None,
+        )
+        service = _delivered(deliveries, int(solver[OWN_SHIP]), k)
+    maker = service.maker
+    fate = _fates(found.outcome[:, OWN_SHIP], service.fate)
     kept = np.flatnonzero(fate == FixFate.DELIVERED)
     delay = np.full(k, np.nan)
-    delay[kept] = deliveries.delay[own][kept]
+    delay[kept] = service.delay[kept]
     fixes = Fixes(
         t_valid=t[kept],
         # The solver's clock states the time; the own ship reads it by its own.
@@ -132,19 +142,75 @@ def fly_network(
         cov=found.own_cov,
         fate=fate,
         delay=delay,
-        fleet_delay=deliveries.delay[deliveries.delivered],
+        fleet_delay=service.fleet_delay,
         link_time=topology.time,
         linked=topology.ranging,
         head=topology.head,
         maker=maker,
-        sent=len(traffic),
+        sent=service.sent,
+        delivered=service.delivered,
+        queued=service.queued,
+        transmissions=service.transmissions,
+        slots_used=service.slots_used,
+        slots=service.slots,
+    )
+    return fixes.sorted_by_arrival(), record
+
+
+@dataclass(frozen=True)
+class _Service:
+    """What the network did for the fixes: `NetworkRecord` has the same, of all nodes."""
+
+    fate: Integers
+    """(k,) `PacketFate` of the own ship's fixes."""
+    delay: Array
+    """(k,) s."""
+    fleet_delay: Array
+    maker: int
+    sent: int
+    delivered: int
+    queued: int
+    transmissions: int
+    slots_used: int
+    slots: int
+
+
+def _delivered(deliveries: Deliveries, maker: int, k: int) -> _Service:
+    """Fixes that other nodes make, and send."""
+    own = np.flatnonzero(deliveries.traffic.destination == OWN_SHIP)[-k:]
+    return _Service(
+        fate=deliveries.fate[own],
+        delay=deliveries.delay[own],
+        fleet_delay=deliveries.delay[deliveries.delivered],
+        maker=maker,
+        sent=len(deliveries.traffic),
         delivered=int(deliveries.delivered.sum()),
         queued=int((deliveries.fate == PacketFate.STILL_QUEUED).sum()),
         transmissions=int(deliveries.transmissions.sum()),
         slots_used=deliveries.slots_used,
         slots=deliveries.slots,
     )
-    return fixes.sorted_by_arrival(), record
+
+
+def _broadcast(
+    told: Broadcasts, early: int, settings: ProtocolSettings, first_s: float, last_s: float
+) -> _Service:
+    """Fixes that each node makes itself, of what all broadcast; before the first epoch as well."""
+    k, _, n = told.lost.shape
+    slots = slots_between(first_s, last_s, settings.slot_ms * MILLISECOND)
+    sent = (early + k) * told.an_epoch
+    return _Service(
+        fate=np.full(k, int(PacketFate.DELIVERED)),
+        delay=told.delay,
+        fleet_delay=np.repeat(told.delay, n),
+        maker=OWN_SHIP,
+        sent=sent,
+        delivered=sent - int(told.lost.sum()),
+        queued=0,
+        transmissions=sent,
+        slots_used=sent,
+        slots=slots[1] - slots[0],
+    )
 
 
 _UNMADE = {

@@ -14,7 +14,7 @@ from .localization.chain import LocalizationSettings
 from .localization.following import Follower
 from .localization.tracking import Epochs, Track, Tracker
 from .radio import Radio
-from .record import Array, Integers
+from .record import Array, Booleans, Integers
 from .topology import Topology
 
 CHUNK_S = 1.0
@@ -73,8 +73,11 @@ def survey(
     t: Array,
     fleet_settings: FleetSettings,
     settings: LocalizationSettings,
+    lost: Booleans | None = None,
 ) -> Survey:
     """Observe and locate all nodes at epochs ``t`` (k,), s, ascending.
+
+    ``lost`` (k, sweeps, n) are broadcasts of the distributed solver that nobody received; none by default.
 
     The result does not depend on the number of cores.
     """
@@ -105,7 +108,7 @@ def survey(
     workers = os.cpu_count() or 1
     with ThreadPoolExecutor(workers) as pool:
         # Observed in order, since a radio's draws carry on from chunk to chunk.
-        for sights in _segments(fleet, radio, topology, t):
+        for sights in _segments(fleet, radio, topology, t, lost):
             latest = pool.submit(located, sights, latest)
             pending.append(latest)
             if len(pending) > workers:
@@ -116,15 +119,20 @@ def survey(
     return Survey(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in columns})
 
 
-def _segments(fleet: Fleet, radio: Radio, topology: Topology, t: Array) -> Iterator[list[_Sight]]:
+def _segments(
+    fleet: Fleet, radio: Radio, topology: Topology, t: Array, lost: Booleans | None
+) -> Iterator[list[_Sight]]:
     # The small part lets an epoch that falls on a second's end but for rounding begin the next.
     cuts = np.flatnonzero(np.diff(np.floor((t - t[0]) / CHUNK_S + 1e-6))) + 1
-    chunks = np.split(t, cuts)
+    chunks = np.split(np.arange(len(t)), cuts)
     for first in range(0, len(chunks), SEGMENT):
-        yield [_seen(fleet, radio, topology, chunk) for chunk in chunks[first : first + SEGMENT]]
+        yield [
+            _seen(fleet, radio, topology, t[chunk], None if lost is None else lost[chunk])
+            for chunk in chunks[first : first + SEGMENT]
+        ]
 
 
-def _seen(fleet: Fleet, radio: Radio, topology: Topology, t: Array) -> _Sight:
+def _seen(fleet: Fleet, radio: Radio, topology: Topology, t: Array, lost: Booleans | None) -> _Sight:
     """What the nodes measure at a chunk of epochs, in level frames at the fleet's centre."""
     x_e, v_e = fleet.at(t)
     lla = earth.lla_from_ecef(x_e)
@@ -147,6 +155,7 @@ def _seen(fleet: Fleet, radio: Radio, topology: Topology, t: Array) -> _Sight:
         belief_v=believed_v @ C_en,
         height=None if seen.altitude is None else seen.altitude - centre[:, 2:],
         curvature=float(1 / np.sqrt(R_N * R_E)),
+        lost=lost,
     )
     x = (x_e - centre_e[:, None]) @ C_en
     return _Sight(epochs, x, v_e @ C_en, lla, centre_e, C_en, seen.clock_offset)

@@ -2,10 +2,10 @@
 located."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 from scipy.sparse import coo_matrix
 
 from ...sins.settings import Settings
@@ -58,6 +58,19 @@ class LocalizationSettings(Settings):
     discrepancy_limit: float = Field(default=3.0, ge=1, le=1000)
     """Mean squared discrepancy of an epoch from what its tracker predicts, over its variance, that is taken
     for noise; `regularized` and `regularized_adaptive` doubt what is beyond."""
+    solver: Literal["central", "distributed"] = "central"
+    """`distributed`: once started, each node estimates itself from what its neighbours broadcast."""
+    sweeps: int = Field(default=3, ge=1, le=100)
+    """Broadcasts of each node an epoch with the distributed solver, one a frame."""
+
+    @model_validator(mode="after")
+    def _one_at_a_time(self) -> Self:
+        if self.solver == "distributed" and self.tracker != "epoch":
+            raise ValueError(
+                f'solver = "distributed" with tracker = "{self.tracker}": a distributed solver follows its'
+                ' nodes itself; allowed is tracker = "epoch"'
+            )
+        return self
 
 
 def usable_nodes(problem: RangeProblem, min_neighbors: int = 4) -> Booleans:

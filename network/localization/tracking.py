@@ -15,7 +15,7 @@ from scipy.stats import chi2
 
 from ..clock import SPEED_OF_LIGHT, ClockSettings
 from ..fleet import OWN_SHIP
-from . import _tracking
+from . import _distributed, _tracking
 from ._dense import Terms, minimize
 from .chain import LocalizationSettings, localize
 from .least_squares import LOSSES
@@ -59,6 +59,8 @@ class Epochs:
     """(k, n) m above the level plane through the origin, as `RangeProblem` has it."""
     curvature: float
     """1/m, likewise."""
+    lost: Booleans | None = None
+    """(k, sweeps, n) broadcasts that nobody received, of the distributed solver; none by default."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,10 @@ class Tracker:
         self._chain_s, self._wait_s = -np.inf, 0.5 * FIRST_RESTART_S
         self._t: float | None = None
         self._chain_outcome = np.full(n, int(NodeOutcome.TOO_FEW_NEIGHBOURS))
+        # Of the distributed solver alone: own covariances, last broadcasts, beliefs of the epoch before.
+        self._P = np.tile(np.diag(weak_sd**2), (n, 1, 1))
+        self._told = self._S.copy(), self._P.copy()
+        self._before: Array | None = None
 
     def advance(self, epochs: Epochs) -> Track:
         """Estimates of the next epochs. Nodes are started at the first of them, if at all."""
@@ -152,24 +158,30 @@ class Tracker:
         misfit, residuals = np.empty((k, n)), np.empty((k, n), np.int64)
         neighbours, converged = np.empty((k, n), np.int64), np.empty(k, np.bool_)
         heights = np.broadcast_to(terms.height, (k, n)) if epochs.height is None else epochs.height
-        _tracking.track(
-            np.concatenate([[epochs.t[0] if self._t is None else self._t], epochs.t]),
-            self._S,
-            self._place(),
-            terms,
-            w_range,
-            w_rate,
-            epochs.ranges,
-            epochs.rates,
-            beliefs,
-            # A copy: a read-only view is another type, for which the loops would be compiled again.
-            np.array(heights),
-            self._floor,
-            self._weak,
-            TOLERANCE,
-            _ITERATIONS,
-            (states, own_cov, cov, misfit, residuals, neighbours, converged, shared),
-        )
+        out = states, own_cov, cov, misfit, residuals, neighbours, converged, shared
+        times = np.concatenate([[epochs.t[0] if self._t is None else self._t], epochs.t])
+        # A copy: a read-only view is another type, for which the loops would be compiled again.
+        heights = np.array(heights)
+        if self._settings.solver == "distributed":
+            self._gossip(epochs, times, terms, w_range, w_rate, beliefs, heights, out)
+        else:
+            _tracking.track(
+                times,
+                self._S,
+                self._place(),
+                terms,
+                w_range,
+                w_rate,
+                epochs.ranges,
+                epochs.rates,
+                beliefs,
+                heights,
+                self._floor,
+                self._weak,
+                TOLERANCE,
+                _ITERATIONS,
+                out,
+            )
         self._t = float(epochs.t[-1])
         own_cov, cov, shared = (
             part[:, self._kinematic][:, :, self._kinematic] for part in (own_cov, cov, shared)
@@ -192,6 +204,37 @@ class Tracker:
         x, v = states[..., :3], states[..., self._kinematic[3] : self._kinematic[5] + 1]
         x, v = np.where(kept, x, np.nan), np.where(kept, v, np.nan)
         return Track(x, v, own_cov, sd, outcome, cov, shared)
+
+    def _gossip(
+        self,
+        epochs: Epochs,
+        times: Array,
+        terms: Terms,
+        w_range: Array,
+        w_rate: Array,
+        beliefs: Array,
+        heights: Array,
+        out: tuple[Array | Integers | Booleans, ...],
+    ) -> None:
+        """The epochs by the distributed solver. Nodes that are new have been told to all."""
+        shape = (len(epochs.t), self._settings.sweeps, len(self._anchor))
+        lost = np.zeros(shape, np.bool_) if epochs.lost is None else epochs.lost
+        node = epochs.pairs.T.ravel()
+        order = np.argsort(node, kind="stable")
+        m = len(epochs.pairs)
+        adjacent = (
+            np.searchsorted(node[order], np.arange(shape[2] + 1)),
+            epochs.pairs[:, ::-1].T.ravel()[order],
+            order % max(m, 1),
+            np.where(order < m, 1.0, -1.0),
+        )
+        if self._before is None:
+            self._before = beliefs[0].copy()
+        _distributed.track(
+            times, self._S, self._P, *self._told, self._place(), terms, w_range, w_rate, epochs.ranges,
+            epochs.rates, beliefs, heights, adjacent, self._before,
+            self._settings.maneuver_acceleration_mps2, np.ascontiguousarray(lost), out,
+        )  # fmt: skip
 
     def _start(self, epochs: Epochs) -> None:
         """Locate nodes that are not started from the ranges of the first epoch alone."""
@@ -242,6 +285,10 @@ class Tracker:
             np.empty((N, N)),
             np.empty(N),
         )
+        self._P[new] = np.diag(self._weak**-1.0)
+        self._P[new, :3, :3] = found.cov[new]
+        told_S, told_P = self._told
+        told_S[:], told_P[new] = self._S, self._P[new]
 
     def _beliefs(self, epochs: Epochs) -> Array:
         """(k, n, B) what anchors believe of themselves; their clocks they take for right."""
