@@ -104,6 +104,13 @@ def test_the_stated_covariance_is_that_of_the_errors_with_what_they_share():
     assert nees(error, stated).mean() > 0.7 * low
 
 
+def test_what_is_shared_is_kept_out_of_the_filter_and_added_after_it():
+    scene = Scene(np.random.default_rng(6), 8, 2)
+    alone, both = (Follower(KALMAN).advance(scene.track(shared=s), *scene.frames()) for s in (False, True))
+    np.testing.assert_allclose(both.x, alone.x, atol=1e-9)
+    np.testing.assert_allclose(both.own_cov, alone.own_cov + scene.shared[0], atol=1e-9)
+
+
 def test_own_covariance_is_consistent():
     own = [Scene(np.random.default_rng(100 + run), 25, 1) for run in range(200)]
     values = []

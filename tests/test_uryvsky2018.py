@@ -40,6 +40,8 @@ def test_least_squares_of_all_ranges_reach_the_bound(found, case):
 def test_hubers_loss_holds_against_outliers_where_the_filters_do_not(found):
     wild = found["outliers"]
     assert rmse(wild["huber"]) < 0.6 * rmse(wild["kalman"])
+    # Its covariance holds in large samples; of 14 spare ranges an element it is a tenth off.
+    assert 1.6 < wild["huber"].nees.mean() < 2.5
     for name in ("regularized", "adaptive", "regularized_adaptive"):
         assert rmse(wild[name]) > rmse(wild["kalman"])
 
