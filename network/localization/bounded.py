@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .beacons import Heard
-from .plane import distances
+from .plane import distances, lengths
 from .problem import Array, Booleans
 
 _COARSE, _FINE = 10, (32, 200)
@@ -86,13 +86,13 @@ class _Rings(NamedTuple):
 
     def hold(self, points: Array, reach: float) -> Booleans:
         """(k,) whether all rings hold something within ``reach`` of the points (k, 2)."""
-        d, _ = distances(points, self.anchors, self.rise)
+        d = lengths(points, self.anchors, self.rise)
         return np.all((d + reach >= self.lower) & (d - reach <= self.upper), axis=-1)
 
     def cutting(self, centre: Array, reach: float) -> "_Rings":
         """Those that do not hold all within ``reach`` of the centre: a distance changes no faster than a
         position."""
-        d, _ = distances(centre, self.anchors, self.rise)
+        d = lengths(centre, self.anchors, self.rise)
         cuts = (d - reach < self.lower) | (d + reach > self.upper)
         return _Rings(*(part[cuts] for part in self))
 

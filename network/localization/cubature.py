@@ -25,7 +25,7 @@ from ...sins.gaussian import (
     square_root_cubature_update,
     transposed,
 )
-from .plane import distances
+from .plane import distances, lengths
 from .problem import Booleans
 from .ranging import RangeNoise
 
@@ -106,21 +106,23 @@ def track_beacons(
     state = State(x0, P0.astype(dtype), np.zeros(batch), np.zeros(batch), lost)
     for k in range(ranges.shape[-1]):
         beacon = anchors[..., k : k + 1, :], rises[..., k : k + 1]
-        d, u = distances(state.x, *beacon)
+        d = lengths(state.x, *beacon)
         R = noise.at(d) ** 2
         now = heard[..., k, None, None]
         predicted, predicted_root = _predicted(state, root, R, rules)
         P, root = np.where(now, predicted, state.P), np.where(now, predicted_root, root)
         x, ok = state.x, heard[..., k] & ~state.lost
         if rules.threshold is Threshold.INFORMATION:
+            _, u = distances(state.x, *beacon)
             ok = ok & (np.linalg.norm(u @ root, axis=-1) >= rules.alpha * np.sqrt(R))[..., 0]
         if kind is Filter.EXTENDED:
             innovation = ranges[..., k : k + 1] - d
+            _, u = distances(x, *beacon)
             new = kalman_update(x, P, innovation, u, R[..., None])
             S = new.innovation_cov
         else:
             points = cubature_points(x, root)
-            images = distances(points, beacon[0][..., None, :, :], beacon[1][..., None, :])[0]
+            images = lengths(points, beacon[0][..., None, :, :], beacon[1][..., None, :])
             z = ranges[..., k : k + 1]
             innovation = z - images.mean(axis=-2)
             if kind is Filter.CUBATURE:

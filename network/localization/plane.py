@@ -33,8 +33,13 @@ def distances(x: Array, anchors: Array, rise: Array | float = 0.0) -> tuple[Arra
     distance is the slant one then, and its gradient shorter than a unit vector.
     """
     apart = x[..., None, :] - anchors
-    d = np.sqrt(np.einsum("...d,...d->...", apart, apart) + np.square(rise))
+    d = _slant(apart, rise)
     return d, apart / np.maximum(d, 1e-12)[..., None]
+
+
+def lengths(x: Array, anchors: Array, rise: Array | float = 0.0) -> Array:
+    """The same distances (..., m) without their gradients."""
+    return _slant(x[..., None, :] - anchors, rise)
 
 
 def information(x: Array, anchors: Array, range_sd: Array, rise: Array | float = 0.0) -> Array:
@@ -166,6 +171,10 @@ def in_plane(
 def _huber_weights(r: Array, threshold: float) -> Array:
     """Weights (..., m) of residuals in standard deviations."""
     return threshold / np.maximum(np.abs(r), threshold) if np.isfinite(threshold) else np.ones_like(r)
+
+
+def _slant(apart: Array, rise: Array | float) -> Array:
+    return np.sqrt(np.einsum("...d,...d->...", apart, apart) + np.square(rise))
 
 
 def _weights(range_sd: Array, like: Array) -> Array:
