@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from ..aircraft.mission import FlightPlan
 from ..aircraft.phases import PHASE_NAMES
-from ..align.bridging.outage import LEAST_RECORD_S
+from ..align.bridging.outage import LEAST_OUTPUTS
 from ..align.bridging.regression import Bridging
 from ..align.filters import FILTERS
 from ..align.methods import METHODS
@@ -159,15 +159,16 @@ class Scenario(Settings):
     @model_validator(mode="after")
     def _outages_fit(self) -> "Scenario":
         window_s, before = self.alignment.duration_s, 0.0
+        least_s = LEAST_OUTPUTS / self.alignment.settings.output_rate_hz
         for number, outage in enumerate(self.outages):
             told = f"outages[{number}] from {outage.start_s:g} s for {outage.duration_s:g} s"
             if outage.end_s > window_s:
                 raise ValueError(f"{told}: must end with the alignment, at {window_s:g} s, or before")
             if outage.start_s < before:
                 raise ValueError(f"{told}: must not begin before the end of the one before it, {before:g} s")
-            if self.alignment.bridging != "coast" and outage.start_s - before < LEAST_RECORD_S:
+            if self.alignment.bridging != "coast" and outage.start_s - before < least_s:
                 raise ValueError(
-                    f"{told}: bridging = {self.alignment.bridging!r} learns from {LEAST_RECORD_S:g} s or more"
+                    f"{told}: bridging = {self.alignment.bridging!r} learns from {least_s:g} s or more"
                     f" before it; there are {outage.start_s - before:g} s"
                 )
             before = outage.end_s

@@ -151,18 +151,20 @@ def test_without_a_model_or_a_record_the_filter_coasts(record):
     time, dtheta, dv, found = record
     assert bridged(found, time, dtheta, dv, GravityModel.J2, [OUTAGE], "coast") is found
     assert bridged(found, time, dtheta, dv, GravityModel.J2, [], "lssvm") is found
-    early = bridged(found, time, dtheta, dv, GravityModel.J2, [(1.0, 5.0)], "lssvm")
+    early = bridged(found, time, dtheta, dv, GravityModel.J2, [(3.95, 8.0)], "lssvm")
     np.testing.assert_array_equal(early.lla, found.lla)
+    late = bridged(found, time, dtheta, dv, GravityModel.J2, [(4.05, 8.0)], "lssvm")
+    assert (late.lla != found.lla).any()
 
 
 def test_a_second_outage_does_not_learn_from_the_first(record):
     """What the filter coasts through is no target: nonsense there leaves the second bridge as it was."""
     time, dtheta, dv, found = record
-    both = [(20.0, 30.0), OUTAGE]
+    both = [(40.0, 50.0), OUTAGE]
     made = bridged(found, time, dtheta, dv, GravityModel.J2, both, "lssvm")
-    lla = found.lla.copy()
-    lla[(found.time > 20) & (found.time < 30)] += 1e-3
-    spoilt = Estimate(**{**vars(found), "lla": lla})
+    v_n = found.v_n.copy()
+    v_n[(found.time > 40) & (found.time < 50)] += 3.0
+    spoilt = Estimate(**{**vars(found), "v_n": v_n})
     again = bridged(spoilt, time, dtheta, dv, GravityModel.J2, both, "lssvm")
     second = (found.time > OUTAGE[0]) & (found.time < OUTAGE[1])
     np.testing.assert_array_equal(again.lla[second], made.lla[second])

@@ -1,5 +1,7 @@
 """Outages of the fixes in a scenario, whatever their source, and what is put out in them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from fleetalign.cosim.outages import outage_rows, told_outages
@@ -115,6 +117,19 @@ def test_coasting_is_consistent_and_no_worse_than_a_learnt_bridge(bridges):
     assert bridge["position_nees"][0] < 6
     assert coast["velocity_mps"][0] < bridge["velocity_mps"][0]
     assert coast["position_m"][1:] == [None, None]  # too few runs for an interval
+
+
+def test_rows_are_of_the_last_epoch_of_an_outage(stated):
+    """An error that grows by 1 m in each of 0.1 s: at 6.9 s, the last in [5, 7), it is 69 m in each axis."""
+    time = np.arange(1, 401) / 10
+    errors = 10 * np.tile(time[:, None], (2, 1, 5))
+    score = SimpleNamespace(
+        time=time, errors=errors, position_errors=errors[..., :3], position_nees=errors[..., 0]
+    )
+    row = outage_rows(replaced(stated, {"outages": OUTAGES}), score)[0]
+    assert row["position_m"][0] == pytest.approx(69 * np.sqrt(3))
+    assert row["velocity_mps"][0] == pytest.approx(69 * np.sqrt(2))
+    assert row["position_nees"][0] == pytest.approx(69)
 
 
 def test_lines_tell_each_filter_and_variant():

@@ -28,8 +28,8 @@ from .regression import LEAST_ROWS, Bridging, fit
 
 MOST_POINTS = 101
 """Of a training: 100 rates."""
-LEAST_RECORD_S = 4.0
-"""Before an outage, of which the later half is trained on."""
+LEAST_OUTPUTS = 4 * LEAST_ROWS
+"""Of the filter before an outage: half of them are trained on, half of these verify."""
 
 
 def bridged(
@@ -45,7 +45,7 @@ def bridged(
 
     ``time``, ``dtheta_b``, ``dv_b`` : the record, as `filters.align` takes it. ``outages`` : begin and end,
     s, of times without valid fixes, in order. Attitude and all else stay the filter's; so does everything
-    where ``bridging`` is ``coast``, or where the filter has known less than `LEAST_RECORD_S` before.
+    where ``bridging`` is ``coast``, or where the filter has put out fewer than `LEAST_OUTPUTS` before.
     """
     if bridging == "coast" or not outages:
         return found
@@ -59,9 +59,7 @@ def bridged(
         before = np.flatnonzero(known)
         inside = np.flatnonzero((found.time > begin) & (found.time < end))
         since = end
-        if len(inside) == 0 or len(before) < 4 * LEAST_ROWS:
-            continue
-        if found.time[before[-1]] - found.time[before[0]] < LEAST_RECORD_S:
+        if len(inside) == 0 or len(before) < LEAST_OUTPUTS:
             continue
         trained = before[len(before) // 2 :]
         rows = np.concatenate([trained, inside])

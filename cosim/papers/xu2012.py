@@ -135,9 +135,9 @@ def _filters(world: World) -> list[tuple[str, str, Form, str, Gains]]:
         *(
             (
                 mistold(MATCHED, share),
-                f"KF, told {share:g} x Q",
+                f"KF, {share:g} Q",
                 Form.BASELINE,
-                "mismatched",
+                "told so much of the noise",
                 kalman(world, share * right),
             )
             for share in world.settings.mistuned
@@ -152,9 +152,9 @@ def _filters(world: World) -> list[tuple[str, str, Form, str, Gains]]:
         *(
             (
                 mistold(PUBLISHED, share),
-                f"H-infinity, told {share:g} x Q",
+                f"H-infinity, {share:g} Q",
                 Form.PUBLISHED,
-                "mismatched weights",
+                "told so much of the noise",
                 robust(world, When.PREDICTED, share * right),
             )
             for share in world.settings.mistuned
@@ -180,10 +180,10 @@ def stretch_table(done: Trial, i: int) -> Table:
         Metric("y_mean_m", "y, m", 3, "mean absolute error of position in y"),
         Metric("vx_mean_mps", "vx, m/s", 4, "mean absolute error of velocity in x"),
         Metric("vy_mean_mps", "vy, m/s", 4, "mean absolute error of velocity in y"),
-        Metric("position_rms_m", "position, m", 3, "RMS length of the position error"),
-        Metric("velocity_rms_mps", "velocity, m/s", 4, "RMS length of the velocity error"),
-        Metric("position_over_bound", "position / bound", 2, "RMS over that of the bound, same draws"),
-        Metric("velocity_over_bound", "velocity / bound", 2, "RMS over that of the bound, same draws"),
+        Metric("position_rms_m", "position, m", 3, "RMS length of the position error", brief=False),
+        Metric("velocity_rms_mps", "velocity, m/s", 4, "RMS length of the velocity error", brief=False),
+        Metric("position_over_bound", "p / bound", 2, "position, RMS over that of the bound, same draws"),
+        Metric("velocity_over_bound", "v / bound", 2, "velocity, RMS over that of the bound, same draws"),
         Metric(
             "nees",
             "NEES (4)",

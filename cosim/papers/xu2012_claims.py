@@ -29,7 +29,7 @@ def claims_of(done: Trial) -> tuple[Claim, ...]:
             MATCHED,
             0,
             slice(0, 2),
-            "decreases the mean errors of position by about 85 % in x and 80 % in y compared with KF",
+            "HF decreases the mean errors of position by about 85 % in x and 80 % in y compared with KF.",
             "Against a KF whose process noise is right there is no such gain to be had. Where the KF is told"
             f" too little there is: {mistuned or 'not run'}.",
         ),
@@ -41,13 +41,13 @@ def claims_of(done: Trial) -> tuple[Claim, ...]:
             MATCHED,
             0,
             slice(2, 4),
-            "decreases the velocity errors by about 70 % in x and 75 % in y compared with KF",
+            "HF decreases the velocity errors by about 70 % in x and 75 % in y compared with KF.",
             "The least energy gain trusts fixes more than the least variance does.",
         ),
         _smaller(
             done,
             "Figs. 4 to 7",
-            "both KF and HF reduce the errors of the INS",
+            "Both KF and HF reduce the errors of the INS.",
             0,
             [(MATCHED, "ins"), (PUBLISHED, "ins")],
             "Any filter that follows the fixes does.",
@@ -55,7 +55,7 @@ def claims_of(done: Trial) -> tuple[Claim, ...]:
         _smaller(
             done,
             "Figs. 4 to 7, Table 2",
-            "the HF solution has the smallest error, in the second area too",
+            "The HF solution has the smallest error, in the second area too.",
             2,
             [(PUBLISHED, MATCHED)],
             "It has a smaller one than a KF that is told too little noise, not than one that is told right.",
@@ -69,7 +69,7 @@ def claims_of(done: Trial) -> tuple[Claim, ...]:
             "mlp",
             1,
             slice(0, 2),
-            "decreases position errors by about 80 % in x and 70 % in y compared with BP",
+            "LS-SVM decreases position errors by about 80 % in x and 70 % in y compared with BP.",
             "Both go beyond what they were trained on; a smooth kernel that was chosen by how it forecasts"
             " goes astray less than a network that was not.",
         ),
@@ -81,13 +81,13 @@ def claims_of(done: Trial) -> tuple[Claim, ...]:
             "mlp",
             3,
             slice(2, 4),
-            "decreases the mean errors of velocity by about 40 % in x and 70 % in y compared with BP",
+            "LS-SVM decreases the mean errors of velocity by 40 % in x and 70 % in y compared with BP.",
             "As for position; how a network extrapolates depends on its first weights.",
         ),
         _smaller(
             done,
             "Figs. 8 to 11",
-            "both LS-SVM and BP reduce the errors of the INS in the outages",
+            "Both LS-SVM and BP reduce the errors of the INS in the outages.",
             1,
             [("lssvm", "ins"), ("mlp", "ins")],
             "The INS alone has gathered its error since the start of the training area.",
@@ -95,7 +95,7 @@ def claims_of(done: Trial) -> tuple[Claim, ...]:
         _smaller(
             done,
             "Abstract, section 6",
-            "the prediction keeps accuracy where the INS's deteriorates",
+            "The prediction keeps accuracy where the INS's deteriorates.",
             1,
             [("lssvm", PUBLISHED), ("lssvm", WITH_BIAS)],
             "The fair comparison is not the INS alone but the INS that was corrected up to the last fix,"
@@ -148,7 +148,7 @@ def _reduction(
         verdict = Verdict.REPRODUCED
     else:
         verdict = Verdict.PARTLY if all(map(_beyond_zero, found)) else Verdict.NOT
-    measured = f"{AREAS[stretch]}: in x and y {_percent(found)} than {_name(done, worse)}'s"
+    measured = f"{AREAS[stretch].capitalize()}: in x and y {_percent(found)} than {_name(done, worse)}'s."
     return Claim(where, statement, RULE, verdict, measured, why)
 
 
@@ -174,7 +174,9 @@ def _smaller(
         f" {_percent(_reductions(done, one, other, stretch)[2:])}"
         for one, other in pairs
     ]
-    return Claim(where, statement, rule, verdict, "; ".join(told_pairs), why)
+    return Claim(
+        where, statement, rule, verdict, f"{AREAS[stretch].capitalize()}: {'; '.join(told_pairs)}.", why
+    )
 
 
 def _robust(done: Trial) -> Claim:
@@ -187,15 +189,15 @@ def _robust(done: Trial) -> Claim:
         ]
         if share < 1:
             held.append(costs[1] < costs[0])
-        rows.append(f"told {share:g} x Q: KF {costs[0]:.1f}, H-infinity {costs[1]:.1f} times its error")
+        rows.append(f"Told {share:g} x Q: KF {costs[0]:.1f}, H-infinity {costs[1]:.1f} times its error")
     verdict = Verdict.REPRODUCED if held and all(held) else Verdict.PARTLY if any(held) else Verdict.NOT
     return Claim(
         "Abstract, section 2.1",
-        "HF is more robust than KF: it need not know the statistics of the noise",
+        "HF is more robust than KF: it need not know the statistics of the noise.",
         "reproduced if in training area 1 too little stated noise multiplies its mean position error by less"
         " than the KF's, at all shares; partly if at some",
         verdict,
-        "; ".join(rows) or "no mis-stated noise was run",
+        f"{'; '.join(rows)}." if rows else "No mis-stated noise was run.",
         "Its gain stays high whatever it is told, for it guards against the worst disturbance. The price is"
         " paid where the noise is known.",
     )
