@@ -130,6 +130,8 @@ def mistold(key: str, share: float) -> str:
 def _filters(world: World) -> list[tuple[str, str, Form, str, Gains]]:
     """Key, name, form, about and gains."""
     slack, right = world.settings.gamma_slack, tuned_share(world)
+    published = robust(world, When.PREDICTED, right)
+    mended = robust(world, When.FILTERED, right, slack)
     return [
         (MATCHED, "KF", Form.BASELINE, "on (2.3), best process noise", kalman(world, right)),
         *(
@@ -146,8 +148,8 @@ def _filters(world: World) -> list[tuple[str, str, Form, str, Gains]]:
             PUBLISHED,
             "H-infinity",
             Form.PUBLISHED,
-            "(2.9), Theorem 2.3, least gamma: align/lmi/stochastic_hinf.py",
-            robust(world, When.PREDICTED, right),
+            f"(2.9), Theorem 2.3: gamma = {published.gamma:.3f}; align/lmi/stochastic_hinf.py",
+            published,
         ),
         *(
             (
@@ -163,8 +165,8 @@ def _filters(world: World) -> list[tuple[str, str, Form, str, Gains]]:
             MENDED,
             "H-infinity, mended",
             Form.MENDED,
-            f"uses a fix at once; least variance within {slack:g} of the least gamma",
-            robust(world, When.FILTERED, right, slack),
+            f"uses a fix at once; little variance, gamma = {mended.gamma:.3f}, {slack:g} of the least",
+            mended,
         ),
         (WITH_BIAS, "KF with biases", Form.OURS, "six states; coasts", kalman(world, with_bias=True)),
     ]

@@ -23,13 +23,14 @@ class Gains:
 
     ``P`` (n, c, c): the covariance that it claims, of as many of the states as it has; None if it claims
     none. ``late``: it uses a fix from the next epoch on (2.9). ``anew``: it takes position and velocity from
-    the first fix after an outage, and goes on from there.
+    the first fix after an outage, and goes on from there. ``gamma``: what its energy gain keeps to.
     """
 
     K: Array
     P: Array | None = None
     late: bool = False
     anew: bool = True
+    gamma: float = np.nan
 
 
 def kalman(world: World, process_share: float = 1.0, with_bias: bool = False) -> Gains:
@@ -100,7 +101,7 @@ def robust(world: World, when: When, process_share: float = 1.0, slack: float | 
         found = design(design_of, when, slack * found.gamma)
     K = np.zeros((len(world.time), 6, 4))
     K[:, :4] = world.fixed[:, None, None] * found.K
-    return Gains(K, late=when is When.PREDICTED)
+    return Gains(K, late=when is When.PREDICTED, gamma=found.gamma)
 
 
 def plant(world: World, process_share: float = 1.0) -> NoisyPlant:
