@@ -33,18 +33,23 @@ _SHOWN = {
     "rates": VERMILION,
     WITH_BIAS: GREEN,
 }
-_HEADINGS = ("Position error in x, m", "Position error in y, m", "Velocity error in x, m/s", "... in y, m/s")
+_HEADINGS = (
+    "Position error in x, m",
+    "Position error in y, m",
+    "Velocity error in x, m/s",
+    "Velocity error in y, m/s",
+)
 
 
-def write_recording(path: Path, done: Trial) -> None:
+def write_recording(file: Path, done: Trial) -> None:
     """Write the first draw. Raises OSError."""
-    path.touch()  # Rerun reports a file that cannot be written from a thread of its own.
-    time = done.world.time
+    file.touch()  # Rerun reports a file that cannot be written from a thread of its own.
+    time, stretches = done.world.time, done.world.settings.stretches
     digest = hashlib.sha256()
     for method in done.methods.values():
         digest.update(np.ascontiguousarray(method.errors[0]).tobytes())
     rec = rr.RecordingStream("fleetalign", recording_id=digest.hexdigest()[:32], send_properties=False)
-    rec.save(path, default_blueprint=_blueprint(time, done))
+    rec.save(file, default_blueprint=_blueprint(time, done))
     rec.send_recording_name("INS/WSN, first draw")
     columns = Columns(rec)
     _draw_map(columns, done)
@@ -52,14 +57,18 @@ def write_recording(path: Path, done: Trial) -> None:
         sd = np.sqrt(done.bound[:, c])
         columns.three_sigma(f"errors/{component}/bound", time, 0.0, sd, BOUND, "bound")
         for key, color in _SHOWN.items():
-            method = done.methods[key]
-            known = np.isfinite(method.errors[0, :, c])
-            line = method.errors[0, known, c]
-            columns.line(f"errors/{component}/{key}", time[known], line, color, method.name)
+            method, path = done.methods[key], f"errors/{component}/{key}"
+            line = method.errors[0, :, c]
+            whole = np.isfinite(line).all()
+            for i, part in enumerate((slice(None),) if whole else stretches):
+                # A line of its own for each outage, or they would be joined.
+                if np.isfinite(line[part]).all():
+                    entity = path if whole else f"{path}/{AREAS[i].replace(' ', '_')}"
+                    columns.line(entity, time[part], line[part], color, method.name)
             if method.P is not None:
                 own = np.sqrt(method.P[:, c, c])
-                columns.three_sigma(f"errors/{component}/{key}", time, 0.0, own, color, method.name)
-    starts = [time[part.start] for part in done.world.settings.stretches]
+                columns.three_sigma(path, time, 0.0, own, color, method.name)
+    starts = [time[part.start] for part in stretches]
     columns.send("wsn", starts, rr.StateChange.columns(state=list(AREAS)))
     rec.flush()
     rec.disconnect()
