@@ -28,11 +28,6 @@ class Broadcasts:
     delay: Array
     """(k,) s, from each epoch to the end of its last sweep."""
 
-    @property
-    def an_epoch(self) -> int:
-        """Broadcasts of all nodes for one epoch: as many slots."""
-        return self.lost[0].size
-
 
 def frame_s(nodes: int, settings: ProtocolSettings) -> float:
     """Length of a frame, s."""
@@ -44,8 +39,8 @@ def check_sweeps(sweeps: int, nodes: int, rate_hz: float, settings: ProtocolSett
     if settings.kind != "dmdg" or settings.access != "tdma":
         told = f'kind = "{settings.kind}"' if settings.kind != "dmdg" else f'access = "{settings.access}"'
         raise ProtocolError(
-            f'localization.solver = "distributed" with protocol.{told}: nodes broadcast to their neighbours in'
-            ' slots of their own; allowed is kind = "dmdg" with access = "tdma"'
+            f'localization.solver = "distributed" with protocol.{told}: nodes broadcast in slots of their'
+            ' own; allowed is kind = "dmdg" with access = "tdma"'
         )
     frame = frame_s(nodes, settings)
     most = int(1 / (rate_hz * frame) + 1e-6)

@@ -95,9 +95,11 @@ def fly_network(
     first_s, last_s = start_s - early / settings.rate_hz, end_s + AFTER_S
     if settings.localization.solver == "distributed":
         sweeps, loss = settings.localization.sweeps, settings.radio.loss_probability
-        told = draw_broadcasts(t, sweeps, formation.slot_key, settings.protocol, loss, losses_rng)
-        found = survey(fleet, radio, topology, t, settings.fleet, settings.localization, told.lost)
-        service = _broadcast(told, early, settings.protocol, first_s, last_s)
+        times = np.concatenate([first_s + np.arange(early) / settings.rate_hz, t])
+        told = draw_broadcasts(times, sweeps, formation.slot_key, settings.protocol, loss, losses_rng)
+        lost = told.lost[early:]
+        found = survey(fleet, radio, topology, t, settings.fleet, settings.localization, lost)
+        service = _broadcast(told, k, settings.protocol, first_s, last_s)
     else:
         found = survey(fleet, radio, topology, t, settings.fleet, settings.localization)
         solver = solvers(formation.solver_key)
@@ -193,23 +195,21 @@ def _delivered(deliveries: Deliveries, maker: int, k: int) -> _Service:
 
 
 def _broadcast(
-    told: Broadcasts, early: int, settings: ProtocolSettings, first_s: float, last_s: float
+    told: Broadcasts, k: int, settings: ProtocolSettings, first_s: float, last_s: float
 ) -> _Service:
-    """Fixes that each node makes itself, of what all broadcast; before the first epoch as well."""
-    k, _, n = told.lost.shape
-    slots = slots_between(first_s, last_s, settings.slot_ms * MILLISECOND)
-    sent = (early + k) * told.an_epoch
+    """Fixes that each node makes itself, of what all broadcast; the last k epochs are those of the fixes."""
+    first, last = slots_between(first_s, last_s, settings.slot_ms * MILLISECOND)
     return _Service(
         fate=np.full(k, int(PacketFate.DELIVERED)),
-        delay=told.delay,
-        fleet_delay=np.repeat(told.delay, n),
+        delay=told.delay[-k:],
+        fleet_delay=np.repeat(told.delay[-k:], told.lost.shape[2]),
         maker=OWN_SHIP,
-        sent=sent,
-        delivered=sent - int(told.lost.sum()),
+        sent=told.lost.size,
+        delivered=told.lost.size - int(told.lost.sum()),
         queued=0,
-        transmissions=sent,
-        slots_used=sent,
-        slots=slots[1] - slots[0],
+        transmissions=told.lost.size,
+        slots_used=told.lost.size,
+        slots=last - first,
     )
 
 

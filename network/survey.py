@@ -11,8 +11,9 @@ import numpy as np
 from ..sins import earth
 from .fleet import OWN_SHIP, Fleet, FleetSettings
 from .localization.chain import LocalizationSettings
+from .localization.epochs import Epochs
 from .localization.following import Follower
-from .localization.tracking import Epochs, Track, Tracker
+from .localization.tracking import Track, Tracker
 from .radio import Radio
 from .record import Array, Booleans, Integers
 from .topology import Topology

@@ -177,12 +177,12 @@ def _certain(net: Network) -> Estimate:
 
 QUICK: dict[str, Method] = {
     "dv": lambda net: (net.start, None),
-    "dv_all": lambda net: (path_lateration(net.problem, None, linear=True), None),
-    "dv_corrected": _corrected,
     "distributed": _distributed,
 }
 """Methods of all cells."""
 FULL: dict[str, Method] = QUICK | {
+    "dv_all": lambda net: (path_lateration(net.problem, None, linear=True), None),
+    "dv_corrected": _corrected,
     "distributed_printed": lambda net: _distributed(net, **_printed(net)),
     "distributed_sage": lambda net: _distributed(net, noise="positive"),
     "central": _central,

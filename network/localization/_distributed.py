@@ -170,7 +170,7 @@ def _update(
     i, out_S, out_P, prior, prior_P, told_S, told_P, now, place, first,
     ranges, w_range, rates, w_rate, height, adjacent,
 ):  # fmt: skip
-    """The estimate of node i from what it knew before the epoch and the ranges of the epoch, linear at ``now``.
+    """The estimate of node i from what it knew before the epoch and the epoch's ranges, linear at ``now``.
 
     Each range counts once an epoch, however many sweeps there are: they make neighbours' places better.
     """

@@ -60,7 +60,7 @@ class LocalizationSettings(Settings):
     for noise; `regularized` and `regularized_adaptive` doubt what is beyond."""
     solver: Literal["central", "distributed"] = "central"
     """`distributed`: once started, each node estimates itself from what its neighbours broadcast."""
-    sweeps: int = Field(default=3, ge=1, le=100)
+    sweeps: int = Field(default=2, ge=1, le=100)
     """Broadcasts of each node an epoch with the distributed solver, one a frame."""
 
     @model_validator(mode="after")

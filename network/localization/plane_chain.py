@@ -14,6 +14,8 @@ from .plane_network import PlaneSolution, least_squares_in_plane
 from .problem import Array, Booleans, Integers, RangeProblem
 from .spherical import neighbors
 
+_ROUGH_M = 1e-3
+"""Last step on the way."""
 _LOOKS = 12
 """Second looks at most; each that finds nothing better is the last."""
 MARGIN = 10.0
@@ -37,12 +39,12 @@ def locate_in_plane(
     corrected = dv_distance(problem)[:, :2]
     known = np.isfinite(start[:, 0]) & np.isfinite(corrected[:, 0])
     start[known] = corrected[known]
-    best = least_squares_in_plane(problem, start, False, max_iterations)
+    best = least_squares_in_plane(problem, start, False, max_iterations, _ROUGH_M)
     for _ in range(_LOOKS):
         flipped, moved = _across(problem, best.x)
         if not flipped.any():
             break
-        found = least_squares_in_plane(problem, moved, False, max_iterations)
+        found = least_squares_in_plane(problem, moved, False, max_iterations, _ROUGH_M)
         if found.cost > best.cost - _BETTER:
             break
         best = replace(found, iterations=best.iterations + found.iterations)

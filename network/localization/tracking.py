@@ -15,9 +15,11 @@ from scipy.stats import chi2
 
 from ..clock import SPEED_OF_LIGHT, ClockSettings
 from ..fleet import OWN_SHIP
-from . import _distributed, _tracking
+from . import _tracking
 from ._dense import Terms, minimize
 from .chain import LocalizationSettings, localize
+from .epochs import Epochs
+from .gossip import Gossip
 from .least_squares import LOSSES
 from .problem import Array, Booleans, Integers, NodeOutcome, RangeProblem
 
@@ -31,36 +33,6 @@ INCONSISTENT_CHANCE = 1e-6
 """Chance, about, at which noise alone makes a node count as inconsistent."""
 _ITERATIONS = 20
 _NANOSECOND = 1e-9
-
-
-@dataclass(frozen=True)
-class Epochs:
-    """What a fleet knows at k consecutive epochs, each in its own frame (`localization`)."""
-
-    t: Array
-    """(k,) s."""
-    pairs: Integers
-    """(m, 2) all pairs of nodes."""
-    ranges: Array
-    """(k, m) m, as `RangeProblem` has them; not looked at where not heard."""
-    range_sd: Array
-    """(k, m) m."""
-    rates: Array
-    """(k, m) m/s; one-way, the clock drift of the first node less that of the second is in them."""
-    rate_sd: float
-    """m/s."""
-    heard: Booleans
-    """(k, m) pairs that ranged each other."""
-    belief_x: Array
-    """(k, n, 3) m, where anchors take themselves to be; other rows are not looked at."""
-    belief_v: Array
-    """(k, n, 3) m/s, likewise."""
-    height: Array | None
-    """(k, n) m above the level plane through the origin, as `RangeProblem` has it."""
-    curvature: float
-    """1/m, likewise."""
-    lost: Booleans | None = None
-    """(k, sweeps, n) broadcasts that nobody received, of the distributed solver; none by default."""
 
 
 @dataclass(frozen=True)
@@ -136,10 +108,7 @@ class Tracker:
         self._chain_s, self._wait_s = -np.inf, 0.5 * FIRST_RESTART_S
         self._t: float | None = None
         self._chain_outcome = np.full(n, int(NodeOutcome.TOO_FEW_NEIGHBOURS))
-        # Of the distributed solver alone: own covariances, last broadcasts, beliefs of the epoch before.
-        self._P = np.tile(np.diag(weak_sd**2), (n, 1, 1))
-        self._told = self._S.copy(), self._P.copy()
-        self._before: Array | None = None
+        self._gossip = Gossip(settings, np.diag(weak_sd**2), n)
 
     def advance(self, epochs: Epochs) -> Track:
         """Estimates of the next epochs. Nodes are started at the first of them, if at all."""
@@ -163,7 +132,9 @@ class Tracker:
         # A copy: a read-only view is another type, for which the loops would be compiled again.
         heights = np.array(heights)
         if self._settings.solver == "distributed":
-            self._gossip(epochs, times, terms, w_range, w_rate, beliefs, heights, out)
+            self._gossip.advance(
+                self._S, self._place(), epochs, times, terms, w_range, w_rate, beliefs, heights, out
+            )
         else:
             _tracking.track(
                 times,
@@ -204,37 +175,6 @@ class Tracker:
         x, v = states[..., :3], states[..., self._kinematic[3] : self._kinematic[5] + 1]
         x, v = np.where(kept, x, np.nan), np.where(kept, v, np.nan)
         return Track(x, v, own_cov, sd, outcome, cov, shared)
-
-    def _gossip(
-        self,
-        epochs: Epochs,
-        times: Array,
-        terms: Terms,
-        w_range: Array,
-        w_rate: Array,
-        beliefs: Array,
-        heights: Array,
-        out: tuple[Array | Integers | Booleans, ...],
-    ) -> None:
-        """The epochs by the distributed solver. Nodes that are new have been told to all."""
-        shape = (len(epochs.t), self._settings.sweeps, len(self._anchor))
-        lost = np.zeros(shape, np.bool_) if epochs.lost is None else epochs.lost
-        node = epochs.pairs.T.ravel()
-        order = np.argsort(node, kind="stable")
-        m = len(epochs.pairs)
-        adjacent = (
-            np.searchsorted(node[order], np.arange(shape[2] + 1)),
-            epochs.pairs[:, ::-1].T.ravel()[order],
-            order % max(m, 1),
-            np.where(order < m, 1.0, -1.0),
-        )
-        if self._before is None:
-            self._before = beliefs[0].copy()
-        _distributed.track(
-            times, self._S, self._P, *self._told, self._place(), terms, w_range, w_rate, epochs.ranges,
-            epochs.rates, beliefs, heights, adjacent, self._before,
-            self._settings.maneuver_acceleration_mps2, np.ascontiguousarray(lost), out,
-        )  # fmt: skip
 
     def _start(self, epochs: Epochs) -> None:
         """Locate nodes that are not started from the ranges of the first epoch alone."""
@@ -285,10 +225,7 @@ class Tracker:
             np.empty((N, N)),
             np.empty(N),
         )
-        self._P[new] = np.diag(self._weak**-1.0)
-        self._P[new, :3, :3] = found.cov[new]
-        told_S, told_P = self._told
-        told_S[:], told_P[new] = self._S, self._P[new]
+        self._gossip.start(self._S, new, found.cov)
 
     def _beliefs(self, epochs: Epochs) -> Array:
         """(k, n, B) what anchors believe of themselves; their clocks they take for right."""

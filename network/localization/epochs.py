@@ -1,0 +1,35 @@
+"""What a fleet knows at consecutive epochs."""
+
+from dataclasses import dataclass
+
+from .problem import Array, Booleans, Integers
+
+
+@dataclass(frozen=True)
+class Epochs:
+    """What a fleet knows at k consecutive epochs, each in its own frame (`localization`)."""
+
+    t: Array
+    """(k,) s."""
+    pairs: Integers
+    """(m, 2) all pairs of nodes."""
+    ranges: Array
+    """(k, m) m, as `RangeProblem` has them; not looked at where not heard."""
+    range_sd: Array
+    """(k, m) m."""
+    rates: Array
+    """(k, m) m/s; one-way, the clock drift of the first node less that of the second is in them."""
+    rate_sd: float
+    """m/s."""
+    heard: Booleans
+    """(k, m) pairs that ranged each other."""
+    belief_x: Array
+    """(k, n, 3) m, where anchors take themselves to be; other rows are not looked at."""
+    belief_v: Array
+    """(k, n, 3) m/s, likewise."""
+    height: Array | None
+    """(k, n) m above the level plane through the origin, as `RangeProblem` has it."""
+    curvature: float
+    """1/m, likewise."""
+    lost: Booleans | None = None
+    """(k, sweeps, n) broadcasts that nobody received, of the distributed solver; none by default."""
