@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from .bound_command import bound
+from .campaign_command import campaign, report
 from .command_line import InputError, ScenarioArgument, loaded
 from .fly_command import fly
 from .lmi_command import lmi
@@ -105,7 +106,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (run, fly, localize, bound, replay, lmi, maneuver, check):
+for command in (run, fly, localize, bound, replay, lmi, maneuver, campaign, report, check):
     app.command()(command)
 app.command("list")(list_)
 

@@ -81,6 +81,10 @@ def _declared(location: Iterable[str | int], schema: Schema) -> tuple[list[str],
     for part in location:
         declared = [p for c in candidates for p in _properties(c, schema)]
         nested = [p[part] for p in declared if part in p]
+        # A table under names of the user's own.
+        nested += [
+            c["additionalProperties"] for c in candidates if isinstance(c.get("additionalProperties"), dict)
+        ]
         candidates = nested or candidates
         # What is not a property is an index, an unknown field, or the tag of an alternative: drop the tag.
         tags = [p["kind"].get("const") for p in declared if "kind" in p]

@@ -150,12 +150,18 @@ def coarse_attitude(q_nb: Array, coarse: CoarseAttitude, rng: np.random.Generato
 
 
 def simulate_all(
-    scenario: Scenario, flight: Flight, runs: int, seed: int, progress: Progress | None = None
+    scenario: Scenario,
+    flight: Flight,
+    runs: int,
+    seed: int,
+    progress: Progress | None = None,
+    first: int = 0,
 ) -> Iterator[Run]:
-    """Runs 0 to ``runs - 1`` in order, worked on by all cores; what a run yields depends on its id alone."""
+    """So many runs from the ``first`` on, in order, worked on by all cores; what a run yields depends on its
+    id alone."""
     workers = os.cpu_count() or 1
     with ThreadPoolExecutor(workers) as pool:
-        ids = iter(range(runs))
+        ids = iter(range(first, first + runs))
         # A few runs in flight at a time, so that their records do not pile up.
         pending = [pool.submit(simulate, scenario, flight, i, seed) for i in islice(ids, 4 * workers)]
         done = 0

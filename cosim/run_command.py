@@ -36,6 +36,9 @@ def run(
     filter_: Annotated[
         list[str] | None, typer.Option("--filter", help="Filter to run; may be given again.")
     ] = None,
+    run_id: Annotated[
+        int | None, typer.Option(min=0, help="Do this run alone, as it is among the others.")
+    ] = None,
     variants: Annotated[
         bool, typer.Option("--variants", help="Run the scenario's variants as well, for one table.")
     ] = False,
@@ -67,11 +70,14 @@ def run(
         from .papers.command import Asked, study_paper
 
         idle = {"--filter": bool(filter_), "--variants": variants, "--no-cache": no_cache}
+        idle["--run-id"] = run_id is not None
         folder = study_paper(name, Asked("run", scenario, content, runs, seed, out, quiet, as_json, idle))
         if view:
             _view(folder / "recording.rrd")
         return
-    _, settings = loaded(scenario, runs, seed, filter_)
+    if run_id is not None and (runs is not None or variants):
+        raise InputError("--run-id: not beside --runs or --variants")
+    _, settings = loaded(scenario, 1 if run_id is not None else runs, seed, filter_)
     if variants and not settings.variants:
         raise InputError(f"--variants: {scenario} has none")
     folder = output_folder(out or Path(f"fleetalign-{name}"))
@@ -92,7 +98,9 @@ def run(
         progress_bar("aligning", silent) as progress,
         estimates_writer(folder / "estimates.parquet", window, settings.imu.vibration_mps) as estimates,
     ):
-        for done_run in simulate_all(settings, flight, settings.runs, settings.seed, progress):
+        for done_run in simulate_all(
+            settings, flight, settings.runs, settings.seed, progress, first=run_id or 0
+        ):
             first = first or done_run
             scorer.add(done_run)
             if done_run.network is not None:

@@ -1,0 +1,91 @@
+"""Shards by the workers of a Dask cluster: `distributed` hands a dead worker's tasks out again by itself."""
+
+from collections.abc import Iterator
+from contextlib import closing
+from typing import Any
+
+from ..command_line import InputError
+from .plan import Campaign, Shard
+from .shard import done_shard, encoded, failed_rows
+
+LOCALHOST = "127.0.0.1"
+IN_WORK = 3
+"""Shards for each worker: one in work, and what it takes next while its result travels."""
+
+
+def on_cluster(
+    campaign: Campaign, shards: list[Shard], scheduler: str | None = None, workers: int | None = None
+) -> Iterator[tuple[Shard, bytes]]:
+    """Each shard's content, in the order in which they are done.
+
+    Parameters
+    ----------
+    scheduler : address of one that runs, e.g. ``"tcp://10.0.0.5:8786"``; its workers need this fleetalign.
+    workers : without a scheduler, so many processes of this machine, bound to `LOCALHOST`.
+
+    Raises `InputError` where `distributed` is not installed or the scheduler does not answer.
+    """
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise InputError("--scheduler, --workers: need the extra: pip install fleetalign[cluster]") from error
+    if scheduler is None:
+        cluster = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            host=LOCALHOST,
+            dashboard_address=None,  # pyright: ignore[reportArgumentType]
+            scheduler_port=0,
+        )
+        with cluster, closing(Client(cluster)) as client:
+            yield from _completed(client, campaign, shards)
+        return
+    try:
+        client = Client(scheduler, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise InputError(f"--scheduler {scheduler}: does not answer: {error}") from error
+    with closing(client):
+        yield from _completed(client, campaign, shards)
+
+
+def _completed(client: Any, campaign: Campaign, shards: list[Shard]) -> Iterator[tuple[Shard, bytes]]:
+    from distributed import as_completed
+    from distributed.scheduler import KilledWorker
+
+    waiting, by_key = list(reversed(shards)), dict[str, Shard]()
+    flying = as_completed([])
+
+    def hand_out() -> None:
+        workers = max(len(client.scheduler_info()["workers"]), 1)
+        while waiting and len(by_key) < IN_WORK * workers:
+            shard = waiting.pop()
+            task = client.submit(done_shard, campaign.scenario(shard.point), shard, pure=False)
+            by_key[task.key] = shard
+            flying.add(task)
+
+    hand_out()
+    for task in flying:
+        shard = by_key.pop(task.key)
+        try:
+            content = task.result()
+        except KilledWorker:
+            # Several workers died of it: run by run, the poison one alone is lost.
+            content = _run_by_run(client, campaign, shard)
+        task.release()
+        yield shard, content
+        hand_out()
+
+
+def _run_by_run(client: Any, campaign: Campaign, shard: Shard) -> bytes:
+    from distributed.scheduler import KilledWorker
+
+    from .engine import DIED, rows_of
+
+    scenario, rows = campaign.scenario(shard.point), list[dict[str, Any]]()
+    for run_id in range(shard.first_run, shard.first_run + shard.runs):
+        task = client.submit(done_shard, scenario, Shard(shard.point, run_id, 1), pure=False)
+        try:
+            rows += rows_of(task.result())
+        except KilledWorker:
+            rows += failed_rows(scenario, shard.point, run_id, DIED)
+    return encoded(rows)

@@ -1,0 +1,184 @@
+"""Campaign files: a base scenario, axes along which its settings vary, and the runs at each point."""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+from scipy.stats import qmc
+
+from ...sins.settings import Settings
+from ..mistakes import read_toml, told_mistakes
+from ..scenario import Scenario, ScenarioError, load_scenario, replaced
+
+MOST_POINTS = 100_000
+
+
+class Values(Settings):
+    """An axis of stated values."""
+
+    kind: Literal["values"] = "values"
+    values: Annotated[tuple[float | int | bool | str, ...], Field(min_length=1, max_length=10_000)]
+
+
+class Range(Settings):
+    """An axis from one end to the other: ``steps`` even values on a grid, or all of it for a hypercube."""
+
+    kind: Literal["range"] = "range"
+    low: float
+    high: float
+    steps: int = Field(default=5, ge=2, le=10_000)
+    log: bool = False
+    """Whether even means even ratios."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.low < self.high:
+            raise ValueError(f"low = {self.low:g}: must be below high = {self.high:g}")
+        if self.log and self.low <= 0:
+            raise ValueError(f"low = {self.low:g}: must be above 0 where log = true")
+        return self
+
+    def at(self, share: float) -> float:
+        """The value at a share of the way, 0 to 1."""
+        if self.log:
+            return float(self.low * (self.high / self.low) ** share)
+        return float(self.low + share * (self.high - self.low))
+
+
+Axis = Annotated[Values | Range, Field(discriminator="kind")]
+
+
+class CampaignFile(Settings):
+    """Content of a campaign's TOML file."""
+
+    title: str
+    scenario: str
+    """Bundled name, or a TOML file beside this one."""
+    runs: int = Field(default=100, ge=1, le=1_000_000)
+    """At each point."""
+    seed: int = Field(default=1, ge=0, le=2**63 - 1)
+    """Of all points: the runs of one id have the same sensors and noise at each."""
+    filters: tuple[str, ...] = ()
+    """The scenario's, if none."""
+    shard_runs: int = Field(default=25, ge=1, le=10_000)
+    """Runs that are done, and kept, together."""
+    design: Literal["grid", "latin_hypercube"] = "grid"
+    points: int = Field(default=50, ge=1, le=MOST_POINTS)
+    """Of a Latin hypercube."""
+    axes: Annotated[dict[str, Axis], Field(max_length=20)] = Field(default={})
+    """By the dotted name of a scenario's field."""
+
+    @model_validator(mode="after")
+    def _small_enough(self) -> Self:
+        if self.design == "grid":
+            sizes = [len(a.values) if isinstance(a, Values) else a.steps for a in self.axes.values()]
+            points = int(np.prod(sizes, dtype=object)) if sizes else 1
+            if points > MOST_POINTS:
+                raise ValueError(f"the grid has {points} points: allowed are {MOST_POINTS}")
+        return self
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Some runs of one point."""
+
+    point: int
+    first_run: int
+    runs: int
+
+    @property
+    def name(self) -> str:
+        """Of its file, sorted as the runs are."""
+        return f"p{self.point:06d}_r{self.first_run:07d}.parquet"
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A campaign that can be run: all of its points are scenarios."""
+
+    settings: CampaignFile
+    base: Scenario
+    coordinates: tuple[dict[str, Any], ...]
+    """Of each point, the value of each axis."""
+
+    def scenario(self, point: int) -> Scenario:
+        """The scenario at a point. Raises `ScenarioError`."""
+        changes: dict[str, Any] = {"variants": {}, "seed": self.settings.seed, "runs": self.settings.runs}
+        if self.settings.filters:
+            changes["alignment.filters"] = list(self.settings.filters)
+        return replaced(self.base, changes | self.coordinates[point], origin=f"point {point}")
+
+    @property
+    def shards(self) -> list[Shard]:
+        """All of them, in order."""
+        runs, size = self.settings.runs, self.settings.shard_runs
+        return [
+            Shard(point, first, min(size, runs - first))
+            for point in range(len(self.coordinates))
+            for first in range(0, runs, size)
+        ]
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of all that its results depend on."""
+        content = {"base": self.base.digest, "coordinates": self.coordinates}
+        content |= self.settings.model_dump(mode="json", exclude={"title"})
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def load_campaign(path: Path) -> Campaign:
+    """The campaign of a TOML file. Raises `ScenarioError`, one line for each mistake."""
+    try:
+        content = read_toml(path)
+    except ValueError as error:
+        raise ScenarioError(str(error)) from error
+    for axis in content.get("axes", {}).values() if isinstance(content.get("axes"), dict) else ():
+        # What an axis is shows in its fields; a file need not say it.
+        if isinstance(axis, dict) and "kind" not in axis:
+            axis["kind"] = "values" if "values" in axis else "range"
+    try:
+        settings = CampaignFile.model_validate(content)
+    except ValidationError as error:
+        raise ScenarioError(told_mistakes(str(path), error, CampaignFile, "campaign")) from error
+    beside = path.parent / settings.scenario
+    _, base = load_scenario(str(beside) if beside.is_file() else settings.scenario)
+    campaign = Campaign(settings, base, tuple(_points(settings)))
+    for point in range(len(campaign.coordinates)):
+        try:
+            campaign.scenario(point)
+        except ScenarioError as error:
+            told = ", ".join(f"{name} = {value}" for name, value in campaign.coordinates[point].items())
+            first = str(error).splitlines()[0].removeprefix(f"point {point}: ")
+            raise ScenarioError(f"{path}: axes: at {told}: {first}") from error
+    return campaign
+
+
+def _points(settings: CampaignFile) -> list[dict[str, Any]]:
+    names, axes = list(settings.axes), list(settings.axes.values())
+    if settings.design == "grid" or not names:
+        grids = [
+            list(axis.values)
+            if isinstance(axis, Values)
+            else [axis.at(i / (axis.steps - 1)) for i in range(axis.steps)]
+            for axis in axes
+        ]
+        return [dict(zip(names, values, strict=True)) for values in product(*grids)]
+    # Drawn from the seed alone, so that the same file is the same campaign.
+    cube = qmc.LatinHypercube(d=len(names), rng=np.random.default_rng(settings.seed)).random(settings.points)
+    return [
+        {name: _on(axis, float(share)) for name, axis, share in zip(names, axes, row, strict=True)}
+        for row in cube
+    ]
+
+
+def _on(axis: Values | Range, share: float) -> Any:
+    """The value at a share of an axis; stated values have equal shares."""
+    if isinstance(axis, Range):
+        return axis.at(share)
+    return axis.values[min(int(share * len(axis.values)), len(axis.values) - 1)]

@@ -1,0 +1,69 @@
+"""The commands `campaign` and `report`. What is heavy is imported when they run."""
+
+import json
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .command_line import AsJson, InputError, OutFolder, Quiet, command_as_typed, output_folder
+from .terminal import error_console, out_console, progress_bar
+
+
+def campaign(
+    file: Annotated[Path, typer.Argument(help="A campaign's TOML file.")],
+    resume: Annotated[bool, typer.Option("--resume", help="Go on: do only what is missing.")] = False,
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=1024, help="Processes by Dask on this machine.")
+    ] = None,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
+    out: OutFolder = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Do many runs over axes of a scenario's settings; what is done is kept, whatever happens."""
+    from .campaign.cluster import on_cluster
+    from .campaign.engine import locally, run_campaign
+    from .campaign.ledger import Ledger
+    from .campaign.plan import load_campaign
+    from .campaign.report import campaign_table, write_report
+
+    if scheduler is not None and workers is not None:
+        raise InputError("--workers: not beside --scheduler, whose workers are its own")
+    plan = load_campaign(file)
+    folder, silent = output_folder(out or Path(f"fleetalign-campaign-{file.stem}")), quiet or as_json
+    ledger = Ledger(folder, plan, resume)
+    dask = scheduler is not None or workers is not None
+    done_by = partial(on_cluster, scheduler=scheduler, workers=workers) if dask else locally
+    total = plan.settings.runs * len(plan.coordinates)
+    try:
+        with progress_bar("campaign", silent) as progress:
+            run_campaign(plan, ledger, done_by, progress)
+    except (OSError, KeyboardInterrupt) as error:
+        kept = sum(shard.runs for shard in ledger.done)
+        why = f"{folder}: {error.strerror or error}" if isinstance(error, OSError) else "stopped"
+        error_console.print(f"{why}; {kept} of {total} runs are kept, go on with --resume", soft_wrap=True)
+        raise typer.Exit(1) from error
+    summary = write_report(folder, command_as_typed())
+    if as_json:
+        typer.echo(json.dumps(summary.content, indent=2, allow_nan=False))
+    elif not quiet:
+        out_console.print(campaign_table(summary))
+        out_console.print(f"report     {folder / 'report.html'}", soft_wrap=True)
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(help="A campaign's folder.")],
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write the report of a campaign's folder anew, of whatever is done."""
+    from .campaign.report import campaign_table, write_report
+
+    summary = write_report(folder, command_as_typed())
+    if as_json:
+        typer.echo(json.dumps(summary.content, indent=2, allow_nan=False))
+    elif not quiet:
+        out_console.print(campaign_table(summary))
+        out_console.print(f"report     {folder / 'report.html'}", soft_wrap=True)

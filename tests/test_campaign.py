@@ -1,0 +1,291 @@
+"""Campaigns: their points, what is kept of them, and what they outlive."""
+
+import errno
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from fleetalign.cosim.campaign import engine, ledger
+from fleetalign.cosim.campaign.cluster import on_cluster
+from fleetalign.cosim.campaign.engine import locally, run_campaign
+from fleetalign.cosim.campaign.ledger import Ledger, read_points
+from fleetalign.cosim.campaign.plan import Shard, load_campaign
+from fleetalign.cosim.campaign.shard import done_shard, shard_rows
+from fleetalign.cosim.run import alignment_window, simulate
+from fleetalign.cosim.scenario import ScenarioError
+from fleetalign.cosim.score import COLUMNS, errors_against
+
+SCENARIO = """
+title = "Five seconds"
+[flight]
+s_start_s = 500
+[alignment]
+duration_s = 5.0
+filters = ["ekf_stamped", "l2linf"]
+"""
+CAMPAIGN = """
+title = "Fixes of two kinds"
+scenario = "five.toml"
+runs = 5
+seed = 7
+shard_runs = 2
+[axes."fixes.velocity_sd_mps"]
+values = [0.1, 0.2]
+"""
+
+
+@pytest.fixture
+def file(tmp_path, flight):  # the flight: in the cache, where workers find it
+    (tmp_path / "five.toml").write_text(SCENARIO)
+    path = tmp_path / "campaign.toml"
+    path.write_text(CAMPAIGN)
+    return path
+
+
+def contents(folder) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted((folder / "shards").iterdir())}
+
+
+def test_a_grid_has_all_combinations_and_shards_have_each_run_once(file):
+    file.write_text(
+        CAMPAIGN + '[axes."fixes.position_sd_m"]\nlow = 1.0\nhigh = 100.0\nsteps = 3\nlog = true\n'
+    )
+    campaign = load_campaign(file)
+    points = [(p["fixes.velocity_sd_mps"], p["fixes.position_sd_m"]) for p in campaign.coordinates]
+    assert points == [(v, pytest.approx(s)) for v in (0.1, 0.2) for s in (1.0, 10.0, 100.0)]
+    runs = [(s.point, s.first_run + i) for s in campaign.shards for i in range(s.runs)]
+    assert sorted(runs) == [(point, run) for point in range(6) for run in range(5)]
+    assert campaign.scenario(4).fixes.position_sd_m == pytest.approx(10.0)
+    assert campaign.scenario(4).seed == 7
+
+
+def test_a_latin_hypercube_has_a_point_in_each_slice_and_is_the_same_again(file):
+    hypercube = CAMPAIGN.replace("runs = 5", 'runs = 5\ndesign = "latin_hypercube"\npoints = 8').replace(
+        "values = [0.1, 0.2]", "low = 0.1\nhigh = 0.9"
+    )
+    file.write_text(hypercube + '[axes."fixes.rate_hz"]\nvalues = [5, 10]\n')
+    campaign = load_campaign(file)
+    slices = np.floor([(p["fixes.velocity_sd_mps"] - 0.1) / 0.1 for p in campaign.coordinates])
+    assert sorted(slices) == list(range(8))
+    assert sorted(p["fixes.rate_hz"] for p in campaign.coordinates) == [5] * 4 + [10] * 4
+    assert load_campaign(file).coordinates == campaign.coordinates
+    assert load_campaign(file).digest == campaign.digest
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (
+            ("fixes.velocity_sd_mps", "fixes.colour"),
+            "axes: at fixes.colour = 0.1: fixes.colour: unknown field",
+        ),
+        (("[0.1, 0.2]", "[0.1, -2]"), "axes: at fixes.velocity_sd_mps = -2: fixes.velocity_sd_mps"),
+        (("[0.1, 0.2]", "[]"), "values"),
+        (("values = [0.1, 0.2]", "low = 2\nhigh = 1"), "low = 2: must be below high = 1"),
+        (("values = [0.1, 0.2]", "low = 0\nhigh = 1\nlog = true"), "low = 0: must be above 0"),
+        (("values = [0.1, 0.2]", "low = 0\nhigh = 1\nsteps = 1"), "steps = 1: allowed is [2, 10000]"),
+        (("runs = 5", "runs = 0"), "runs = 0: allowed is [1, 1e+06]"),
+        (("five.toml", "six.toml"), "six.toml"),
+        (("seed = 7", "seed = 7\ncolour = 1"), "colour: unknown field"),
+        (("title", "= title"), "not TOML"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(command, file, change, told):
+    file.write_text(CAMPAIGN.replace(*change))
+    status, out, err = command("campaign", file)
+    assert (status, out) == (2, "")
+    assert told in err
+    assert len(err.splitlines()) == 1
+
+
+def test_rows_are_the_runs(file, flight):
+    campaign = load_campaign(file)
+    scenario = campaign.scenario(1)
+    rows = shard_rows(scenario, Shard(1, 2, 2))
+    assert [(r["point"], r["run"], r["filter"]) for r in rows] == [
+        (1, run, name) for run in (2, 3) for name in ("ekf_stamped", "l2linf")
+    ]
+    run = simulate(scenario, flight, 3, 7)
+    errors = errors_against(alignment_window(scenario, flight), run.estimates["l2linf"])
+    assert [rows[3][c] for c in COLUMNS] == errors[-1].tolist()
+    assert rows[3]["history_time_s"] == [1.0, 2.0, 3.0, 4.0, 5.0]
+    assert rows[3]["heading_history_arcmin"][-1] == pytest.approx(abs(errors[-1, 2]))
+    assert done_shard(scenario, Shard(1, 2, 2)) == done_shard(scenario, Shard(1, 2, 2))
+
+
+POISON = """
+import os
+from fleetalign.cosim.campaign import shard as real
+
+
+def done_shard(scenario, shard):
+    runs = range(shard.first_run, shard.first_run + shard.runs)
+    if shard.point == 1 and 3 in runs:
+        os._exit(9)
+    real.simulate = broken if shard.point == 0 else simulate
+    return real.done_shard(scenario, shard)
+
+
+simulate = real.simulate
+
+
+def broken(scenario, flight, run_id, seed):
+    if run_id == 1:
+        raise ZeroDivisionError("a run\\nof lead")
+    return simulate(scenario, flight, run_id, seed)
+"""
+
+
+def test_poison_runs_are_failed_rows_and_the_rest_finishes(file, tmp_path, monkeypatch):
+    (tmp_path / "poison_of_a_test.py").write_text(POISON)
+    monkeypatch.syspath_prepend(tmp_path)
+    import poison_of_a_test
+
+    monkeypatch.setattr(engine, "done_shard", poison_of_a_test.done_shard)
+    campaign, folder = load_campaign(file), tmp_path / "out"
+    run_campaign(campaign, Ledger(folder, campaign, resume=False), partial(locally, workers=2))
+    failures = {}
+    for point, table in read_points(folder):
+        for row in table.to_pylist():
+            failures[point, row["run"], row["filter"]] = row["failure"]
+    assert len(failures) == 2 * 5 * 2
+    reasons = {(0, 1): "ZeroDivisionError: a run", (1, 3): engine.DIED}
+    for (point, run, _), reason in failures.items():
+        assert reason == reasons.get((point, run))
+
+
+def test_a_campaign_killed_again_and_again_is_the_uninterrupted_one(file, tmp_path):
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    campaign = load_campaign(file)
+    run_campaign(campaign, Ledger(whole, campaign, resume=False), locally)
+    line = [
+        sys.executable,
+        "-m",
+        "fleetalign.cosim.cli",
+        "campaign",
+        str(file),
+        "--out",
+        str(killed),
+        "--quiet",
+    ]
+    for kept in (1, 3):
+        process = subprocess.Popen([*line, "--resume"], start_new_session=True)
+        deadline = time.monotonic() + 120
+        while time.monotonic() < deadline and process.poll() is None:
+            if len(list((killed / "shards").glob("*.parquet"))) >= kept:
+                break
+            time.sleep(0.02)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    assert 3 <= len(contents(killed)) <= 6
+    # What a dying disk leaves: a shard that ends early.
+    first = next((killed / "shards").iterdir())
+    first.write_bytes(first.read_bytes()[:100])
+    assert subprocess.run([*line, "--resume"], check=False).returncode == 0
+    assert contents(killed) == contents(whole)
+    rows = [row for _, table in read_points(killed) for row in table.to_pylist()]
+    assert len(rows) == len({(r["point"], r["run"], r["filter"]) for r in rows}) == 2 * 5 * 2
+
+
+def test_a_full_disk_ends_in_one_line_and_keeps_what_is_done(command, file, tmp_path, monkeypatch, undrawn):
+    folder, write, written = tmp_path / "out", ledger._write, []
+
+    def full(path, content):
+        written.append(path)
+        if len(written) == 4:  # after the plan and two shards
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write(path, content)
+
+    monkeypatch.setattr(ledger, "_write", full)
+    status, _, err = command("campaign", file, "--out", folder, "--quiet")
+    assert status == 1
+    kept = sum(pq.read_metadata(path).num_rows for path in (folder / "shards").iterdir()) // 2
+    assert f"No space left on device; {kept} of 10 runs are kept, go on with --resume" in err.replace(
+        "\n", " "
+    )
+    assert len(contents(folder)) == 2
+    monkeypatch.setattr(ledger, "_write", write)
+    status, _, err = command("campaign", file, "--out", folder, "--quiet")
+    assert status == 2
+    assert "has 2 finished shards; go on with --resume" in err.replace("\n", "")
+    status, out, _ = command("campaign", file, "--out", folder, "--resume", "--json")
+    assert status == 0
+    points = json.loads(out)["points"]
+    assert [(p["point"], p["filter"], p["runs"], p["failed"]) for p in points] == [
+        (point, name, 5, 0) for point in (0, 1) for name in ("ekf_stamped", "l2linf")
+    ]
+    page = (folder / "report.html").read_text()
+    assert "Along fixes.velocity_sd_mps" in page
+    assert f"fleetalign run {folder}/points/000000.toml --run-id" in page
+    other = file.with_name("other.toml")
+    other.write_text(CAMPAIGN.replace("seed = 7", "seed = 8"))
+    status, _, err = command("campaign", other, "--out", folder, "--resume")
+    assert status == 2
+    assert "holds another campaign" in err
+
+
+def test_dask_brings_the_same_bytes_and_outlives_a_worker(file, tmp_path):
+    campaign = load_campaign(file)
+    whole = Ledger(tmp_path / "whole", campaign, resume=False)
+    run_campaign(campaign, whole, locally)
+    by_dask, killed = Ledger(tmp_path / "dask", campaign, resume=False), []
+    for shard, content in on_cluster(campaign, campaign.shards, workers=2):
+        by_dask.add(shard, content)
+        if not killed:
+            from distributed import get_client
+
+            pids = {a: w["id"] for a, w in get_client().scheduler_info()["workers"].items()}
+            worker = next(iter(pids))
+            killed.append(get_client().run(os.getpid, workers=[worker])[worker])
+            os.kill(killed[0], signal.SIGKILL)
+    assert contents(tmp_path / "dask") == contents(tmp_path / "whole")
+
+
+def test_no_campaign_has_no_report(command, tmp_path):
+    status, _, err = command("report", tmp_path)
+    assert status == 2
+    assert "no campaign is kept there" in err
+
+
+def test_a_shard_without_a_flight_is_failed_rows(file):
+    scenario = load_campaign(file).scenario(0)
+    slow = scenario.model_copy(update={"flight": scenario.flight.model_copy(update={"s_start_s": 60.0})})
+    rows = shard_rows(slow, Shard(0, 0, 2))
+    assert len(rows) == 4
+    assert all("FlightError" in row["failure"] for row in rows)
+
+
+def test_a_folder_may_hold_no_foreign_plan(file, tmp_path):
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (folder / "campaign.json").write_text("{")
+    with pytest.raises(ScenarioError, match="damaged"):
+        Ledger(folder, load_campaign(file), resume=True)
+
+
+def test_rows_have_the_schema(file):
+    content = done_shard(load_campaign(file).scenario(0), Shard(0, 0, 1))
+
+    assert pq.read_schema(io.BytesIO(content)).names[:4] == ["point", "run", "filter", "failure"]
+
+
+def test_one_run_alone_is_that_run_among_the_others(command, file, tmp_path, undrawn):
+    scenario, folder = file.with_name("five.toml"), tmp_path / "one"
+    status, out, _ = command("run", scenario, "--run-id", 3, "--seed", 7, "--out", folder, "--json")
+    assert status == 0
+    (row,) = (
+        r for r in shard_rows(load_campaign(file).scenario(0), Shard(0, 3, 1)) if r["filter"] == "l2linf"
+    )
+    assert json.loads(out)["runs"] == 1
+    assert json.loads(out)["filters"]["l2linf"]["heading_arcmin"] == pytest.approx(abs(row["heading_arcmin"]))
+    status, _, err = command("run", scenario, "--run-id", 3, "--runs", 2)
+    assert status == 2
+    assert "--run-id: not beside --runs" in err
