@@ -1,6 +1,8 @@
 """Errors against the truth, over all runs of a scenario, in the reader's units."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,8 @@ LEVEL_LIMIT_ARCSEC = 60.0
 HEADING_LIMIT_ARCMIN = 5.0
 LEAST_RUNS = 30
 """From which a confidence interval is given."""
+_KEPT = 4_000_000
+"""Counts of resamples that are kept, 32 MB."""
 FAILED_NEES = 300.0
 """Of the misalignment at the end: ten standard deviations on each of three axes."""
 
@@ -267,15 +271,24 @@ def _ratios(above: Array, below: Array, probability: float) -> dict[str, Array]:
 def resampled_means(values: Array, resamples: int = 2000) -> Array:
     """Means over resampled runs, (resamples, c), of values (runs, c); the same values give the same means."""
     n = len(values)
+    counts = _kept_counts(n, resamples) if n * resamples <= _KEPT else _counts(n, resamples)
+    return np.concatenate([times_drawn @ values / n for times_drawn in counts])
+
+
+@lru_cache(maxsize=2)
+def _kept_counts(n: int, resamples: int) -> tuple[Array, ...]:
+    """The same, for figures of the same few runs that are asked for again and again."""
+    return tuple(_counts(n, resamples))
+
+
+def _counts(n: int, resamples: int) -> Iterator[Array]:
+    """How often each of n runs is in each of the resamples, (rows, n), some rows at a time."""
     rng = np.random.default_rng(0)
     block = max(1, 1_000_000 // n)
-    means = []
     for start in range(0, resamples, block):
         rows = min(block, resamples - start)
         drawn = rng.integers(n, size=(rows, n)) + n * np.arange(rows)[:, None]
-        times_drawn = np.bincount(drawn.ravel(), minlength=rows * n).reshape(rows, n)
-        means.append(times_drawn @ values / n)
-    return np.concatenate(means)
+        yield np.bincount(drawn.ravel(), minlength=rows * n).reshape(rows, n).astype(float)
 
 
 def tails(probability: float) -> list[float]:
