@@ -101,9 +101,12 @@ def test_all_estimators_reach_the_bound_once_the_s_has_told_the_side(found):
 
 @pytest.mark.usefixtures("two_times")
 def test_without_an_s_the_side_stays_open():
-    found = locate_ground(Weaving(0.0), replace_settings(estimators=("nls", "srckf")), 10, 5)
+    settings = replace_settings(estimators=("nls", "srckf"))
+    found = locate_ground(Weaving(0.0), settings, 10, 5)
     for fixes in found.fixes.values():
         assert fixes.ambiguous.mean() > 0.95
+    for score in summarize_ground(settings, found)["estimators"].values():
+        assert score["located"] + score["ambiguous"] == pytest.approx(1.0)
 
 
 def replace_settings(**changes):

@@ -82,8 +82,8 @@ def weighted_lateration(anchors: Array, ranges: Array, range_sd: Array) -> Array
     anchors = np.broadcast_to(anchors, (*ranges.shape, anchors.shape[-1]))
     centre = np.sum(w[..., None] * anchors, axis=-2, keepdims=True)
     apart = anchors - centre
-    squares = np.sum(apart**2, axis=-1) - ranges**2
-    b = squares - np.sum(w * squares, axis=-1, keepdims=True)
+    # What is the same in all of them has no part in the solution: the columns of A are centred.
+    b = np.sum(apart**2, axis=-1) - ranges**2
     root = np.sqrt(w)
     return centre[..., 0, :] + apply(np.linalg.pinv(2 * apart * root[..., None]), root * b)
 
