@@ -66,4 +66,6 @@ def draw_broadcasts(
     first = np.ceil(t / frame - 1e-6)
     slots = tdma.lost_slots(owners, len(t) * sweeps, loss_probability, rng)
     own = np.argsort(owners, kind="stable")[settings.extra_slots :]
-    return Broadcasts(slots[:, own].reshape(len(t), sweeps, n), (first + sweeps) * frame - t)
+    # Whole frames are told from what a limit allows: a nanosecond is rounding.
+    delay = np.round((first + sweeps) * frame - t, 9)
+    return Broadcasts(slots[:, own].reshape(len(t), sweeps, n), delay)
