@@ -224,6 +224,7 @@ def _measure(net: Network, x: Array, cov: Array | None, bounded: bool) -> Array:
         row[ASTRAY] = np.mean(error[told] > ASTRAY_RADII * net.radius)
     if bounded and (good := told & net.bound[1]).any():
         row[SQUARES], row[BOUND] = np.mean(error[good] ** 2), net.bound[0][good].mean()
-        if cov is not None:
+        # Where P has lost its positiveness there is no consistency to speak of.
+        if cov is not None and np.linalg.eigvalsh(cov[good]).min() > 0:
             row[NEES] = nees((x - net.x)[good], cov[good]).mean()
     return row

@@ -49,7 +49,7 @@ def path_lateration(problem: RangeProblem, nearest: int | None = 4, linear: bool
     # Beacons near a line leave a second minimum across it: the linear solution starts on either side.
     starts = np.stack([centre + 0.01, x_linear])
     twice = np.stack([lengths, lengths])
-    found = gauss_newton(anchors, twice, sd, starts, 0.05, 20).x
+    found = gauss_newton(anchors, twice, sd, starts, 0.05, 12).x
     misfit = np.sum(((distances(found, anchors)[0] - twice) / sd) ** 2, axis=-1)
     x[joined] = np.where((misfit[1] < misfit[0])[:, None], found[1], found[0])
     return x

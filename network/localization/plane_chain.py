@@ -99,7 +99,7 @@ def _mirrored(problem: RangeProblem, x: Array, least: int) -> tuple[Integers, Ar
     _, vectors = np.linalg.eigh(np.swapaxes(apart, 1, 2) @ apart)
     normal = vectors[:, :, 0]
     off = np.sum((x[at] - centre) * normal, axis=1)
-    image = gauss_newton(anchors, ranges, sd, x[at] - 2 * off[:, None] * normal, 1e-3, 20).x
+    image = gauss_newton(anchors, ranges, sd, x[at] - 2 * off[:, None] * normal, 1e-3, 8).x
     cost = [0.5 * np.sum(((distances(y, anchors)[0] - ranges) / sd) ** 2, axis=1) for y in (x[at], image)]
     # The image may come back to where the node is: another place it is not, then.
     elsewhere = np.linalg.norm(image - x[at], axis=1) > _APART * np.median(problem.range_sd)
