@@ -8,7 +8,6 @@ Built on the steps of `align._kernels`.
 
 import math
 
-import numpy as np
 from numba import njit
 
 from ..sins._kernels import COMPILED, advance
@@ -20,7 +19,6 @@ from ._kernels import (
     GATED,
     INITIALIZED,
     LATE,
-    N_X,
     PENDING,
     REFUSED,
     STAMPED,
@@ -77,39 +75,6 @@ def _carry_attitude(X, time, increments, k, q_initial, lla, v_n, gravity_model, 
             previous[i] = increments[j - 1, i] if j > 1 else 0.0
         dt = time[j] - time[j - 1]
         advance(X[0:3], X[3:6], X[6:10], increment, previous, dt, gravity_model, f_n)
-
-
-def working_memory(n_fixes, kept, n_states):
-    """Arrays that `align` works in: state, kept states, bookkeeping of the fixes, and steps' own.
-
-    They are made here because array creation is slow to compile.
-    """
-    return (
-        np.zeros(N_X),
-        np.zeros((n_states, n_states)),
-        np.zeros((kept, N_X)),
-        np.zeros((kept, n_states, n_states)),
-        np.zeros(n_fixes, np.int64),
-        np.zeros(n_fixes, np.int64),
-        np.zeros(n_fixes, np.bool_),
-        np.full(n_fixes, -1, np.int64),
-        *steps_memory(n_states),
-    )
-
-
-def steps_memory(n_states):
-    """Arrays that the steps of `align._kernels` work in: outputs of `kinematics`, the innovation, and what
-    `predict` and `update` take as ``work`` and ``buffers``."""
-    predicting = ((9, 15), (9, n_states), (3, 3), 6, 6, 3, n_states)
-    updating = ((6, n_states), (n_states, 6), (6, 6), (6, 6), (n_states, 6), (n_states, 6))
-    updating = (*updating, (n_states, n_states), n_states)
-    moving = ((3, 3), 3, 3, (2, 3), 6)
-    return (
-        tuple(np.zeros(shape) for shape in moving),
-        np.zeros(6),
-        tuple(np.zeros(shape) for shape in predicting),
-        tuple(np.zeros(shape) for shape in updating),
-    )
 
 
 @njit(**COMPILED)
@@ -183,7 +148,7 @@ def align(
     output_epoch (m,) : epochs at which to write the outputs, increasing.
     outputs : tuple of X (m, 21), variances (m, n), misalignment covariance (m, 3, 3), innovation (k, 6),
         nis (k,), fix time (k,); what is not reached keeps what it had.
-    memory : new `working_memory`.
+    memory : new `_memory.working_memory`.
     cubature : new `_cubature_kernel.points_memory`, for a filter by cubature points instead of derivatives;
         the loop is compiled for each of the two, without the other's branches.
     """

@@ -11,7 +11,7 @@ from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
 from ..sins.mechanization import checked_record
 from ..sins.units import MILLISECOND
-from . import _alignment_kernel, _cubature_kernel
+from . import _alignment_kernel, _cubature_kernel, _memory
 from .consistency import chi_square_quantile
 from .estimate import Array, Estimate, RunOutcome
 from .measurement import N_STATES
@@ -108,7 +108,7 @@ def run(
     before its fixes, at the epoch's number modulo ``kept``."""
     outputs = _outputs(problem)
     states = len(problem.initial_sd)
-    memory = _alignment_kernel.working_memory(len(problem.outcome), kept, states)
+    memory = _memory.working_memory(len(problem.outcome), kept, states)
     cubature = None
     if transform is not Transform.DERIVATIVES:
         cubature = _cubature_kernel.points_memory(states, transform is Transform.SQUARE_ROOT)

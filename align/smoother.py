@@ -23,7 +23,7 @@ from ..sins import attitude
 from ..sins.earth import GravityModel
 from ..sins.error_model import MISALIGN
 from ..sins.imu import ImuErrors
-from . import _alignment_kernel, _smoothing_kernel
+from . import _memory, _smoothing_kernel
 from .estimate import Array, Estimate, FixOutcome, RunOutcome
 from .problem import Problem, pose, run, state_columns
 from .reception import Integers, Reception
@@ -116,6 +116,6 @@ def _back(problem: Problem, kept: tuple[Array, Array], wanted: Integers) -> tupl
         wanted,
         *kept,
         (X, variance, misalignment_cov),
-        _alignment_kernel.steps_memory(states),
+        _memory.steps_memory(states),
     )
     return X, variance, misalignment_cov

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fleetalign.align import _alignment_kernel, _cubature_kernel, _kernels
+from fleetalign.align import _cubature_kernel, _kernels, _memory
 from fleetalign.align.consistency import mean_band
 from fleetalign.align.filters import align
 from fleetalign.align.measurement import N_STATES
@@ -80,7 +80,7 @@ def test_prediction_is_that_of_the_points(record, rooted):
     time, increments = record
     rng = np.random.default_rng(5)
     X, P, noise = state(rng), covariance(rng), 1e-6 * np.ones(N_STATES)
-    _, _, work, _ = _alignment_kernel.steps_memory(N_STATES)
+    _, _, work, _ = _memory.steps_memory(N_STATES)
 
     def carried(Y):
         Y = Y.copy()
@@ -111,7 +111,7 @@ def test_an_update_is_that_of_the_shared_algebra(record, rooted, estimated):
     X, P = state(rng), covariance(rng)
     R = np.diag([9.0] * 3 + [0.01] * 3)
     lla, v_n = X[:3] + [2e-7, -3e-7, 4.0], X[3:6] + [0.1, -0.2, 0.05]
-    motion, innovation, _, _ = _alignment_kernel.steps_memory(N_STATES)
+    motion, innovation, _, _ = _memory.steps_memory(N_STATES)
     C, f_n, w_b, arm, u = motion
 
     def image(e):
@@ -145,7 +145,7 @@ def test_a_fix_beyond_the_gate_changes_nothing(record):
     time, increments = record
     rng = np.random.default_rng(7)
     X, P = state(rng), covariance(rng)
-    motion, innovation, _, _ = _alignment_kernel.steps_memory(N_STATES)
+    motion, innovation, _, _ = _memory.steps_memory(N_STATES)
     before = X.copy(), P.copy()
     nis, taken = _cubature_kernel.cubature_update(
         X, P, X[:3] + [1.0, 0, 0], X[3:6].copy(), np.eye(6), 0.0, False, time, increments, 7, 3, 0, motion,

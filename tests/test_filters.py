@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fleetalign.align import _alignment_kernel, _kernels, measurement
+from fleetalign.align import _kernels, _memory, measurement
 from fleetalign.align.estimate import FixOutcome, RunOutcome
 from fleetalign.align.filters import align
 from fleetalign.align.settings import DelayModel, FilterSettings
@@ -62,7 +62,7 @@ def test_compiled_update_is_the_readable_one(estimated, n):
     fix_v_n, cov = state.v_n + [0.1, -0.2, 0.05], np.diag([100.0] * 3 + [0.01] * 3)
     age, delay_sd, vibration = 0.034, 0.0144, 1e-4
 
-    moving, innovation, _, buffers = _alignment_kernel.steps_memory(n)
+    moving, innovation, _, buffers = _memory.steps_memory(n)
     _kernels.kinematics(X, time, increments, 10, 10, 0, *moving)
     _, f_n, w_b, arms, u = moving
     f_b = increments[1:, 3:].sum(axis=0) / 0.1 - X[10:13]
