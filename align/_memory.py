@@ -1,4 +1,4 @@
-"""Arrays that the compiled loops of alignment work in: made here, because array creation is slow to compile."""
+"""Arrays that the compiled loops of alignment work in; made here, since array creation is slow to compile."""
 
 # Types of compiled functions are those of their docstrings; numba infers them.
 # pyright: reportMissingParameterType=false, reportUnknownParameterType=false

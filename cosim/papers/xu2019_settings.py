@@ -40,7 +40,7 @@ class MovingAnchor(Settings):
     """Of each component of the linear solution, for the filters as published."""
     threshold_m: float = Field(default=0.1, ge=0, le=100)
     """alpha of section 2.2, for deviations of the position."""
-    threshold_share: float = Field(default=0.15, ge=0, le=10)
+    threshold_share: float = Field(default=0.1, ge=0, le=10)
     """The same for the predicted deviation of a range, of its noise."""
     monte_carlo_runs: int = Field(default=55, ge=1, le=10_000)
     """Of the figures, over one deployment; tables are over as many deployments as there are draws."""
