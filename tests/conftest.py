@@ -7,6 +7,9 @@ import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
+# As the program has it (`cosim.cli`); numpy reads it when it is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import numpy as np
 import pytest
 

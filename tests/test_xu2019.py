@@ -48,7 +48,7 @@ def test_verdicts_follow_from_the_numbers(small):
         "1.2, (2) to (4)": Verdict.NOT,
         "1.2, abstract": Verdict.NOT,
         "2.2, Fig. 7": Verdict.NOT,
-        "2.2": Verdict.PARTLY,
+        "2.2": Verdict.NOT,
         "3.1, Figs. 4 and 6": Verdict.REPRODUCED,
         "3.1, Figs. 4 and 7": Verdict.NOT,
         "3.3, Fig. 8": Verdict.PARTLY,
