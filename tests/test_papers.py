@@ -4,9 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from fleetalign.cosim.papers import judging, statistics
 from fleetalign.cosim.papers import scenario as papers
-from fleetalign.cosim.papers import statistics
 from fleetalign.cosim.papers.figures import draw_figures
+from fleetalign.cosim.papers.judging import Held
 from fleetalign.cosim.papers.results import (
     Claim,
     Curve,
@@ -22,6 +23,7 @@ from fleetalign.cosim.papers.results import (
 )
 from fleetalign.network.localization.problem import LocalizationError
 
+YES, NO, OPEN = Held.YES, Held.NO, Held.OPEN
 LOCALIZED = (
     'title = "A plane"\nsource = "A, B, \\"C\\""\ndraws = 40\n[experiment]\nkind = "repeated_ranging"\n'
 )
@@ -56,6 +58,25 @@ def test_few_draws_have_no_interval_and_none_no_value():
     assert statistics.rms(np.ones(30)).low == 1.0
     assert np.isnan(statistics.rms([np.nan]).value)
     assert np.isnan(statistics.mean([]).value)
+
+
+def test_verdicts_follow_whole_intervals():
+    low, high, across, unknown = Value(0.5, 0.4, 0.6), Value(2, 1.8, 2.2), Value(1, 0.8, 1.2), Value(0.5)
+    assert [judging.below(v, 1.0) for v in (low, high, across, unknown)] == [YES, NO, OPEN, OPEN]
+    assert [judging.above(v, 1.0) for v in (low, high, across, unknown)] == [NO, YES, OPEN, OPEN]
+    assert judging.within(low, 0.3, 0.7) is YES
+    assert judging.within(low, 0.55, 0.7) is OPEN
+    assert judging.within(low, 0.7, 0.9) is NO
+    assert judging.both(YES, OPEN) is OPEN
+    assert judging.both(NO, OPEN) is NO
+    assert judging.either(NO, OPEN) is OPEN
+    assert judging.either(YES, NO, OPEN) is YES
+    assert judging.verdict(YES) is Verdict.REPRODUCED
+    assert judging.verdict(NO) is Verdict.NOT
+    assert judging.verdict(OPEN) is Verdict.UNDECIDED
+    assert judging.verdict(NO, [NO, YES]) is Verdict.PARTLY
+    assert judging.verdict(NO, [NO, OPEN]) is Verdict.UNDECIDED
+    assert judging.verdict(OPEN, [YES]) is Verdict.UNDECIDED
 
 
 def fabricated(settings, draws, seed, progress) -> Results:

@@ -25,7 +25,12 @@ _SHORT = {
 }
 _LARGE = 1e5
 """From which on a figure has an exponent."""
-_VERDICT_STYLES = {Verdict.REPRODUCED: "green", Verdict.PARTLY: "yellow", Verdict.NOT: "red"}
+_VERDICT_STYLES = {
+    Verdict.REPRODUCED: "green",
+    Verdict.PARTLY: "yellow",
+    Verdict.NOT: "red",
+    Verdict.UNDECIDED: "yellow",
+}
 
 
 def summarize(name: str, scenario: PaperScenario, results: Results) -> dict[str, Any]:

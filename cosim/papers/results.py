@@ -29,6 +29,8 @@ class Verdict(StrEnum):
     REPRODUCED = "reproduced"
     PARTLY = "partly reproduced"
     NOT = "not reproduced"
+    UNDECIDED = "undecided"
+    """The interval holds both answers, or draws are too few for one."""
 
 
 @dataclass(frozen=True)
