@@ -1,4 +1,4 @@
-"""Verdicts from intervals: a rule holds where the whole 95 % interval keeps it, and fails where none of it does.
+"""Verdicts from intervals: a rule holds where the whole 95 % interval keeps it, and fails where none does.
 
 What lies on both sides, or has no interval, is undecided: noise must satisfy no claim, and refute none.
 """
