@@ -3,7 +3,7 @@
 State vector ``X``, shape (21,): lla 0:3, v_n 3:6, q_nb 6:10, accelerometer bias 10:13, gyro bias
 13:16, mean delay 16, lever arm 17:20, number of fixes refused in a row 20. Error state, shape (n,), n = 16:
 the fifteen of `sins.error_model` and the delay's error; n = 19 if the lever arm is estimated. The readable
-twins of `kinematics` and `update` stand in `align.measurement`.
+twins of `kinematics` and `update` stand in `align.measurement` and `sins.gaussian`.
 """
 
 # Types of compiled functions are those of their docstrings; numba infers them.

@@ -116,17 +116,3 @@ def measure(
     R = fix_cov + delay_sd**2 * np.outer(u, u)
     R[3:, 3:] += vibration_variance * np.eye(3)
     return Measurement(navigated - age * u, H, R)
-
-
-def joseph_update(P: Array, measurement: Measurement) -> tuple[Array, Array, float]:
-    """Error estimate (n,), covariance (n, n) and NIS of a Kalman update, Joseph form.
-
-    ``P``, shape (n, n), is of the first n of the states that the measurement knows: 16, or 19.
-    """
-    innovation, H, R = measurement
-    H = H[:, : len(P)]
-    S = H @ P @ H.T + R
-    K = np.linalg.solve(S, H @ P).T
-    A = np.eye(len(P)) - K @ H
-    nis = float(innovation @ np.linalg.solve(S, innovation))
-    return K @ innovation, A @ P @ A.T + K @ R @ K.T, nis

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from fleetalign.align.measurement import N_STATES, Motion, joseph_update, kinematics, measure
+from fleetalign.align.measurement import N_STATES, Motion, kinematics, measure
 from fleetalign.align.settings import DelayModel, FilterSettings, initial_sd, noise_density
 from fleetalign.network.fixes import Fixes
 from fleetalign.sins import attitude, earth
@@ -23,6 +23,7 @@ from fleetalign.sins.error_model import (
     predict_covariance,
     transition_matrix,
 )
+from fleetalign.sins.gaussian import kalman_update
 from fleetalign.sins.imu import ImuErrors
 from fleetalign.sins.mechanization import NavigationState, step
 from fleetalign.sins.units import MILLISECOND
@@ -161,8 +162,10 @@ class NumpyFilter:
             estimated,
             motion,
         )
-        x, P, nis = joseph_update(belief.P, measurement)
-        if not first and nis > self._gate:
+        n = len(belief.P)
+        innovation, H, R = measurement
+        x, P, _, S = kalman_update(np.zeros(n), belief.P, innovation, H[:, :n], R)
+        if not first and innovation @ np.linalg.solve(S, innovation) > self._gate:
             return belief
         corrected = NavigationState(
             earth.displaced(navigation.lla, -x[POSITION]),

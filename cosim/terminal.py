@@ -42,7 +42,11 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def progress_bar(what: str, silent: bool) -> Iterator[Callable[[float, float], None]]:
-    """A progress bar on the terminal's error stream; call what it yields with (done, total)."""
+    """A progress bar on the terminal's error stream; call what it yields with (done, total).
+
+    Where that is no terminal there is none: in a file it would be blank lines.
+    """
+    silent = silent or not error_console.is_terminal
     columns = TextColumn("{task.description:22}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()
     with Progress(*columns, console=error_console, disable=silent, transient=True) as bar:
         task = bar.add_task(what, total=None)

@@ -23,7 +23,7 @@ _SHORT = {
     Form.OURS: "ours",
     Form.BOUND: "",
 }
-_LARGE = 1e5
+_LARGE = 1e6
 """From which on a figure has an exponent."""
 _VERDICT_STYLES = {
     Verdict.REPRODUCED: "green",
