@@ -81,12 +81,18 @@ def _metrics(settings: RepeatedRanging, band: tuple[float, float], samples: int)
     N = settings.cycles
     low, high = band
     return (
-        Metric("rmse_1_m", "1 cycle, m", 3, "RMS distance from the truth after one cycle"),
-        Metric("rmse_4_m", "4, m", 3, "the same after four"),
+        Metric("rmse_1_m", "1 cycle, m", 3, "RMS distance from the truth after one cycle", brief=False),
+        Metric("rmse_4_m", "4 cycles, m", 3, "the same after four"),
         Metric("rmse_n_m", f"{N}, m", 3, f"the same after {N}"),
         Metric("over_bound", f"{N} / bound", 2, f"the same over the bound after {N}, same draws"),
         Metric("change_fix_percent", "4 to one fix, %", 1, "RMS after four cycles against that of one fix"),
-        Metric("change_kalman_percent", "4 to Kalman, %", 1, "the same against the mended Kalman filter"),
+        Metric(
+            "change_kalman_percent",
+            "4 to Kalman, %",
+            1,
+            "the same against the mended Kalman filter",
+            brief=False,
+        ),
         Metric(
             "nees",
             f"NEES ({low:.2f} to {high:.2f})",
@@ -94,7 +100,11 @@ def _metrics(settings: RepeatedRanging, band: tuple[float, float], samples: int)
             f"after {N} cycles, two degrees of freedom, and the 95 % band of {samples} of them",
         ),
         Metric(
-            "invalid_percent", "no covariance, %", 0, "matrices that are none: unsymmetric, or not positive"
+            "invalid_percent",
+            "no covariance, %",
+            0,
+            "matrices that are none: unsymmetric, or not positive",
+            brief=False,
         ),
     )
 

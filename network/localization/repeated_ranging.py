@@ -124,11 +124,12 @@ def _printed_regularized(d: Array, K: Array, Q: Array, limit: float) -> Array:
 
 
 def _printed_adaptive(otherwise: _Rule) -> _Rule:
-    """(12) where all squared discrepancies Lambda exceed the singular values Delta of (14)."""
+    """(12) where all squared discrepancies Lambda exceed the singular values Delta of (14), both in order of
+    size: coordinates have none in common with singular values, and x and y may change places."""
 
     def gain(d: Array, K: Array, Q: Array, limit: float) -> Array:
         squares = np.maximum(d**2, 1e-300)
-        beyond = np.all(squares > np.linalg.svd(K + Q, compute_uv=False), axis=-1)
+        beyond = np.all(np.sort(squares)[..., ::-1] > np.linalg.svd(K + Q, compute_uv=False), axis=-1)
         return np.where(beyond[..., None, None], K / squares[..., None, :], otherwise(d, K, Q, limit))
 
     return gain
