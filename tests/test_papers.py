@@ -154,7 +154,9 @@ def test_check_and_list_know_the_papers(command, toml):
     [
         (["run"], (), "run it by: fleetalign localize"),
         (["localize", "--nodes", 50], (), "--nodes: not for"),
-        (["localize", "--draws", 0], (), "option: draws = 0: allowed is [1, 1e+06]"),
+        (["localize", "--draws", 0], (), "--draws = 0: allowed is [1, 1e+06]"),
+        (["run", "--runs", 0], ("repeated_ranging", "ins_wsn"), "--runs = 0: allowed is [1, 1e+06]"),
+        (["localize", "--seed", -1], (), "--seed = -1: allowed is [0, "),
         (["localize"], ("draws = 40", "draws = -2"), "draws = -2: allowed is [1, 1e+06]"),
         (["localize"], ("repeated_ranging", "magic"), "experiment.kind = 'magic': allowed are"),
         (["localize"], ("kind =", "colour = 3\nkind ="), "experiment.colour: unknown field"),
@@ -168,6 +170,7 @@ def test_mistakes_are_told_in_one_line(command, toml, tmp_path, fabricating, arg
     status, out, err = command(verb, toml, *options)
     assert (status, out) == (2, "")
     assert told in err
+    assert "option:" not in err
     assert len(err.splitlines()) == 1
 
 

@@ -182,6 +182,18 @@ def test_study_end_to_end_and_the_same_again(done, tmp_path):
     ]
     forms = {row.form for row in made.tables[1].rows}
     assert forms == set(Form)
+    published = {row.method for row in made.tables[1].rows if row.form is Form.PUBLISHED}
+    assert published == {"H-infinity", "back-propagation", "LS-SVM"}
+    # The terminal has 80 columns, and the bound a figure in some.
+    brief = [metric.key for metric in made.tables[1].metrics if metric.brief]
+    assert brief == [
+        "position_rms_m",
+        "velocity_rms_mps",
+        "position_over_bound",
+        "velocity_over_bound",
+        "nees",
+    ]
+    assert set(made.tables[1].rows[-1].values) <= set(brief)
     by_name = {row.method: row for row in made.tables[1].rows}
     method = done.methods["lssvm"]
     outage = slice(40, 55)
@@ -201,18 +213,107 @@ def test_study_end_to_end_and_the_same_again(done, tmp_path):
     assert (tmp_path / "recording.rrd").stat().st_size > 10_000
 
 
-def test_claims_are_judged_by_the_numbers(done):
-    """With the published filter's errors a tenth, nine tenths and eleven tenths of the KF's."""
+INS, BP = "ins", "mlp"
+REPRODUCED, PARTLY, NOT, UNDECIDED = Verdict.REPRODUCED, Verdict.PARTLY, Verdict.NOT, Verdict.UNDECIDED
+REDUCED_P, REDUCED_V, BOTH_REDUCE, SMALLEST, ROBUST, BRIDGED_P, BRIDGED_V, BOTH_BRIDGE, KEEPS = range(9)
+"""Claims in their order."""
 
-    def verdict(factor):
-        kf = done.methods["kf"]
-        scaled = replace(done.methods["hinf"], errors=factor * kf.errors)
-        return claims_of(replace(done, methods={**done.methods, "hinf": scaled}))[0].verdict
 
-    assert verdict(0.1) is Verdict.REPRODUCED
-    assert verdict(0.9) is Verdict.PARTLY
-    assert verdict(1.1) is Verdict.NOT
-    assert len(claims_of(done)) == 9
+def fabricated(sizes, draws=40, noise=0.0):
+    """A trial whose methods' errors are of the given sizes: of a number, of components (4,), or of epochs and
+    components (n, 4). The same in all draws but for ``noise``, in standard deviations, so that intervals
+    are points without it."""
+    world = World(settings(**SMALL))
+    rng = np.random.default_rng(1)
+    told = [f"{key}_told_{share:g}" for key in ("kf", "hinf") for share in world.settings.mistuned]
+    methods = {}
+    for key in (INS, "kf", *told, "hinf", "hinf_mended", "kf_biases", BP, "lssvm", "rates"):
+        spread = 1 + noise * rng.standard_normal((draws, 1, 1))
+        found = np.ones((draws, 110, 4)) * sizes.get(key, 1.0) * spread
+        methods[key] = xu2012.Method(key, Form.BASELINE, "", found, np.tile(np.eye(4), (110, 1, 1)))
+    return xu2012.Trial(world, methods, np.ones((110, 4)), np.ones((draws, 2, 3)))
+
+
+def judged(sizes, **how):
+    return [claim.verdict for claim in claims_of(fabricated(sizes, **how))]
+
+
+@pytest.mark.parametrize(
+    ("claim", "sizes", "expected"),
+    [
+        # 85 % and 80 % less ten points: a quarter, and three tenths, of the KF's are enough.
+        (REDUCED_P, {"hinf": [0.24, 0.29, 1, 1]}, REPRODUCED),
+        (REDUCED_P, {"hinf": [0.26, 0.29, 1, 1]}, PARTLY),
+        (REDUCED_P, {"hinf": [0.1, 1.1, 1, 1]}, NOT),
+        (REDUCED_V, {"hinf": [1, 1, 0.39, 0.34]}, REPRODUCED),
+        (REDUCED_V, {"hinf": [0.1, 0.1, 0.9, 0.9]}, PARTLY),
+        (REDUCED_V, {"hinf": [0.1, 0.1, 1.1, 1.1]}, NOT),
+        (BOTH_REDUCE, {INS: 3.0}, REPRODUCED),
+        (BOTH_REDUCE, {INS: 3.0, "hinf": [1, 1, 1, 4]}, PARTLY),
+        (BOTH_REDUCE, {INS: 0.5}, NOT),
+        (SMALLEST, {"hinf": 0.9}, REPRODUCED),
+        (SMALLEST, {"hinf": [0.9, 0.9, 0.9, 1.1]}, NOT),
+        (BRIDGED_P, {"lssvm": [0.29, 0.39, 1, 1]}, REPRODUCED),
+        (BRIDGED_P, {"lssvm": 0.5}, PARTLY),
+        (BRIDGED_V, {"lssvm": [1, 1, 0.69, 0.39]}, REPRODUCED),
+        (BRIDGED_V, {"lssvm": [1, 1, 0.69, 0.41]}, PARTLY),
+        (BRIDGED_V, {"lssvm": [1, 1, 0.69, 1.01]}, NOT),
+        (BOTH_BRIDGE, {INS: 2.0}, REPRODUCED),
+        (BOTH_BRIDGE, {INS: 2.0, BP: 3.0}, PARTLY),
+        (KEEPS, {"lssvm": 0.5}, REPRODUCED),
+        (KEEPS, {"lssvm": 0.5, "kf_biases": 0.1}, PARTLY),
+        (KEEPS, {"lssvm": 2.0}, NOT),
+    ],
+)
+def test_claims_are_judged_by_their_rules(claim, sizes, expected):
+    assert judged(sizes)[claim] is expected
+
+
+def test_robust_is_who_errs_less_when_told_the_same():
+    """In all components and places: reproduced. Told 0.01 and 0.0001 of the noise."""
+    one, other = "hinf_told_0.01", "hinf_told_0.0001"
+    assert judged({one: 0.5, other: 0.9})[ROBUST] is REPRODUCED
+    # Position alone; position, where only one share was smaller; and none.
+    assert judged({one: [0.5, 0.5, 1.5, 1.5], other: [0.2, 0.2, 1.5, 1.5]})[ROBUST] is PARTLY
+    assert judged({one: [0.5, 0.5, 1.5, 1.5], other: 1.5})[ROBUST] is NOT
+    # What either filter makes of the right noise is no matter.
+    assert judged({"kf": 0.1, one: 1.5, other: 1.5})[ROBUST] is NOT
+    # The areas alone: 110 epochs, of which 40 to 55 and 95 to 110 are outages.
+    place = np.full((110, 4), 0.5)
+    place[40:55], place[95:] = 1.5, 1.5
+    assert judged({one: place, other: place})[ROBUST] is PARTLY
+
+
+def test_what_noise_can_decide_is_undecided():
+    """Methods that differ by a hundredth, draws by three tenths: intervals are a tenth wide."""
+    sizes = dict.fromkeys(("hinf", "hinf_told_0.01", "hinf_told_0.0001", "lssvm"), 0.99)
+    found = judged(sizes, noise=0.3)
+    assert found[SMALLEST] is UNDECIDED
+    assert found[ROBUST] is UNDECIDED
+    assert found[REDUCED_P] is UNDECIDED
+    assert judged({INS: 1.0}, noise=0.3)[BOTH_REDUCE] is UNDECIDED
+
+
+def test_few_draws_and_none_that_is_mistuned_decide_nothing(done):
+    claims = claims_of(done)
+    assert [claim.verdict for claim in claims] == [UNDECIDED] * 9
+    good = fabricated({"hinf_told_0.01": 0.5})
+    world = World(settings(**SMALL, mistuned=[]))
+    claim = claims_of(replace(good, world=world))[ROBUST]
+    assert (claim.verdict, claim.measured) == (UNDECIDED, "No too small noise was run.")
+
+
+def test_consistency_is_told_with_the_band_of_one_stretch_and_of_all():
+    """Four errors of the size s have a NEES of 4 s^2: here 4, 4, 6.76 and 5.02. The bands of 40 draws end at
+    4.92 for one stretch, and at 5.20 for all four."""
+    sizes = np.ones((110, 4))
+    sizes[109] = 1.12
+    sizes[94] = 1.3
+    told = xu2012.consistency_note(fabricated({"kf_biases": sizes}))
+    low, high = mean_band(4, 40)
+    assert "4.00, 4.00, 6.76, 5.02 of 4" in told
+    assert f"2 of 4 within the 95 % band of each, {low:.2f} to {high:.2f}" in told
+    assert "3 of 4 within the 95 % band of all four at once" in told
 
 
 def test_figures_show_the_stretches_they_name(done):
@@ -235,6 +336,8 @@ def test_figures_show_the_stretches_they_name(done):
             {"training_area_s": [0.0, 100.0]},
             r"training_area_s = 0 s in area 1: is empty; allowed is 20 periods",
         ),
+        ({"training_area_s": []}, "an empty training area; allowed are two times, .* each of 20 periods"),
+        ({"outage_s": [50.0]}, "1 of them; allowed are two times, of outages 1 and 2, each of one period"),
         ({"training_area_s": [100.0, 12.0]}, r"training_area_s = 12 s in area 2: holds 12 points"),
         ({"outage_s": [0.2, 50.0]}, r"outage_s = 0.2 s in outage 1: allowed is a period of 1 s or more"),
         ({"period_s": 0.01}, r"period_s = 0.01 s: allowed is 20000 periods"),
@@ -243,5 +346,6 @@ def test_figures_show_the_stretches_they_name(done):
     ],
 )
 def test_mistakes_are_told(changes, told):
-    with pytest.raises(ValidationError, match=told):
+    with pytest.raises(ValidationError, match=told) as mistake:
         settings(**changes)
+    assert mistake.value.error_count() == 1

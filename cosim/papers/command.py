@@ -45,7 +45,12 @@ def study_paper(name: str, asked: Asked) -> Path:
     changes = {"draws": asked.draws, "seed": asked.seed}
     changes = {field: value for field, value in changes.items() if value is not None}
     scenario = validated(asked.scenario, asked.content)
-    scenario = validated("option", {**asked.content, **changes})
+    try:
+        scenario = validated("option", {**asked.content, **changes})
+    except ScenarioError as error:
+        draws = "--runs" if asked.command == "run" else "--draws"
+        typed = str(error).replace("option: draws", draws).replace("option: seed", "--seed")
+        raise InputError(typed) from error
     command = "run" if isinstance(scenario.experiment, ON_THE_RUN) else "localize"
     if command != asked.command:
         raise InputError(f"{asked.scenario}: run it by: fleetalign {command} {asked.scenario}")

@@ -72,7 +72,7 @@ def study(settings: InsWsn, draws: int, seed: int, progress: Progress | None = N
         tables=(*tables, parameter_table(done)),
         claims=claims_of(done),
         figures=figures_of(done),
-        notes=NOTES,
+        notes=(*NOTES, consistency_note(done)),
         estimates=columns_of(done),
         write_recording=lambda path: write_recording(path, done),
     )
@@ -137,9 +137,9 @@ def _filters(world: World) -> list[tuple[str, str, Form, str, Gains]]:
         *(
             (
                 mistold(MATCHED, share),
-                f"KF, {share:g} Q",
+                f"KF told {share:g} Q",
                 Form.BASELINE,
-                "told so much of the noise",
+                "the same, told so much of its process noise",
                 kalman(world, share * right),
             )
             for share in world.settings.mistuned
@@ -154,9 +154,9 @@ def _filters(world: World) -> list[tuple[str, str, Form, str, Gains]]:
         *(
             (
                 mistold(PUBLISHED, share),
-                f"H-infinity, {share:g} Q",
-                Form.PUBLISHED,
-                "told so much of the noise",
+                f"H-infinity told {share:g} Q",
+                Form.BASELINE,
+                "the published one, told so much of its process noise",
                 robust(world, When.PREDICTED, share * right),
             )
             for share in world.settings.mistuned
@@ -178,19 +178,19 @@ def stretch_table(done: Trial, i: int) -> Table:
     draws = len(done.methods["ins"].errors)
     low, high = mean_band(4, draws)
     metrics = (
-        Metric("x_mean_m", "x, m", 3, "mean absolute error of position in x"),
-        Metric("y_mean_m", "y, m", 3, "mean absolute error of position in y"),
-        Metric("vx_mean_mps", "vx, m/s", 4, "mean absolute error of velocity in x"),
-        Metric("vy_mean_mps", "vy, m/s", 4, "mean absolute error of velocity in y"),
-        Metric("position_rms_m", "position, m", 3, "RMS length of the position error", brief=False),
-        Metric("velocity_rms_mps", "velocity, m/s", 4, "RMS length of the velocity error", brief=False),
+        Metric("x_mean_m", "x, m", 3, "mean absolute error of position in x", brief=False),
+        Metric("y_mean_m", "y, m", 3, "mean absolute error of position in y", brief=False),
+        Metric("vx_mean_mps", "vx, m/s", 4, "mean absolute error of velocity in x", brief=False),
+        Metric("vy_mean_mps", "vy, m/s", 4, "mean absolute error of velocity in y", brief=False),
+        Metric("position_rms_m", "p, m", 3, "position, RMS length of the error"),
+        Metric("velocity_rms_mps", "v, m/s", 4, "velocity, RMS length of the error"),
         Metric("position_over_bound", "p / bound", 2, "position, RMS over that of the bound, same draws"),
         Metric("velocity_over_bound", "v / bound", 2, "velocity, RMS over that of the bound, same draws"),
         Metric(
             "nees",
-            "NEES (4)",
+            f"NEES ({low:.2f} to {high:.2f})",
             2,
-            f"at the last epoch, mean over the draws; 95 % of consistent filters: {low:.2f} to {high:.2f}",
+            "of 4, at the last epoch, mean over the draws; in brackets 95 % of consistent filters",
         ),
     )
     rows = [
@@ -225,6 +225,23 @@ def _row(done: Trial, method: Method, stretch: slice) -> Row:
         last = stretch.stop - 1
         values["nees"] = statistics.mean(nees(method.errors[:, last], method.P[last]))
     return Row(method.name, method.form, values, method.about)
+
+
+def consistency_note(done: Trial) -> str:
+    """NEES of the best filter at the ends of all stretches, beside the bands of one and of all of them."""
+    method, stretches = done.methods[WITH_BIAS], done.world.settings.stretches
+    if method.P is None:
+        raise ValueError(f"{method.name} claims no covariance")
+    ends = [part.stop - 1 for part in stretches]
+    found = np.array([nees(method.errors[:, k], method.P[k]).mean() for k in ends])
+    told = []
+    # Bonferroni's: whatever the stretches have in common.
+    for which, outside in (("of each", 0.05), ("of all four at once", 0.05 / len(ends))):
+        low, high = mean_band(4, len(method.errors), 1 - outside)
+        inside = np.count_nonzero((low <= found) & (found <= high))
+        told.append(f"{inside} of 4 within the 95 % band {which}, {low:.2f} to {high:.2f}")
+    figures = ", ".join(f"{value:.2f}" for value in found)
+    return f"NEES of {method.name} at the ends of the stretches: {figures} of 4; {'; '.join(told)}."
 
 
 def mean_absolute(method: Method, stretch: slice) -> Array:

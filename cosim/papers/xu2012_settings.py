@@ -1,10 +1,10 @@
 """Parameters of the experiment of Xu et al. 2012."""
 
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from ...align.bridging.regression import LEAST_ROWS
 from ...sins.settings import Settings
@@ -40,6 +40,16 @@ class InsWsn(Settings):
     """Process noise that mismatched filters are told, over that of the matched ones."""
     gamma_slack: float = Field(default=1.2, ge=1.001, le=100)
     """How much more than the least gamma the mended filter may have, for less variance."""
+
+    @field_validator("training_area_s", "outage_s", mode="before")
+    @classmethod
+    def _one_for_each(cls, times: Any, info: ValidationInfo) -> Any:
+        if isinstance(times, list | tuple) and len(times) != 2:
+            what = "training area" if info.field_name == "training_area_s" else "outage"
+            least = f"{2 * LEAST_ROWS} periods" if what == "training area" else "one period"
+            given = f"an empty {what}" if not times else f"{len(times)} of them"
+            raise ValueError(f"{given}; allowed are two times, of {what}s 1 and 2, each of {least} or more")
+        return times
 
     @model_validator(mode="after")
     def _something_to_learn_from(self) -> "InsWsn":
