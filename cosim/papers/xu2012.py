@@ -184,13 +184,13 @@ def stretch_table(done: Trial, i: int) -> Table:
         Metric("vy_mean_mps", "vy, m/s", 4, "mean absolute error of velocity in y", brief=False),
         Metric("position_rms_m", "p, m", 3, "position, RMS length of the error"),
         Metric("velocity_rms_mps", "v, m/s", 4, "velocity, RMS length of the error"),
-        Metric("position_over_bound", "p / bound", 2, "position, RMS over that of the bound, same draws"),
-        Metric("velocity_over_bound", "v / bound", 2, "velocity, RMS over that of the bound, same draws"),
+        Metric("position_over_bound", "p/bound", 2, "position, RMS over that of the bound, same draws"),
+        Metric("velocity_over_bound", "v/bound", 2, "velocity, RMS over that of the bound, same draws"),
         Metric(
             "nees",
-            f"NEES ({low:.2f} to {high:.2f})",
+            f"NEES {low:.2f}-{high:.2f}",
             2,
-            "of 4, at the last epoch, mean over the draws; in brackets 95 % of consistent filters",
+            "of 4, at the last epoch, mean over the draws; 95 % of consistent filters are between these",
         ),
     )
     rows = [
