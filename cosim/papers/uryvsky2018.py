@@ -82,10 +82,10 @@ def _metrics(settings: RepeatedRanging, band: tuple[float, float], samples: int)
     low, high = band
     return (
         Metric("rmse_1_m", "1 cycle, m", 3, "RMS distance from the truth after one cycle", brief=False),
-        Metric("rmse_4_m", "4 cycles, m", 3, "the same after four"),
+        Metric("rmse_4_m", "4, m", 3, "the same after four"),
         Metric("rmse_n_m", f"{N}, m", 3, f"the same after {N}"),
-        Metric("over_bound", f"{N} / bound", 2, f"the same over the bound after {N}, same draws"),
-        Metric("change_fix_percent", "4 to one fix, %", 1, "RMS after four cycles against that of one fix"),
+        Metric("over_bound", f"{N}/bound", 2, f"the same over the bound after {N}, same draws"),
+        Metric("change_fix_percent", "to fix, %", 1, "RMS after four cycles against that of one fix"),
         Metric(
             "change_kalman_percent",
             "4 to Kalman, %",
@@ -95,9 +95,9 @@ def _metrics(settings: RepeatedRanging, band: tuple[float, float], samples: int)
         ),
         Metric(
             "nees",
-            f"NEES ({low:.2f} to {high:.2f})",
+            "NEES",
             2,
-            f"after {N} cycles, two degrees of freedom, and the 95 % band of {samples} of them",
+            f"after {N} cycles, two degrees of freedom; 95 % band of {samples}: {low:.2f} to {high:.2f}",
         ),
         Metric(
             "invalid_percent",
@@ -132,7 +132,12 @@ def _table(settings: RepeatedRanging, case: Condition, found: dict[str, Outcome]
                 values["nees"] = statistics.mean(found[key].nees)
         rows.append(Row(name, form, values, about))
     samples = len(bound) * (len(settings.elements_m) - 2)
-    return Table(case.key, case.title, _metrics(settings, mean_band(2, samples), samples), tuple(rows))
+    band = mean_band(2, samples)
+    return Table(case.key, _titled(case.title, band), _metrics(settings, band, samples), tuple(rows))
+
+
+def _titled(title: str, band: tuple[float, float]) -> str:
+    return f"{title}; band of NEES {band[0]:.2f} to {band[1]:.2f}"
 
 
 def _network(
@@ -178,8 +183,8 @@ def _network(
         ("bound, two ranges each", Form.BOUND, two["bound"], None),
         ("bound, all links", Form.BOUND, bound, None),
     ]
-    low, high = mean_band(2, draws)
-    metrics = _metrics(settings, (low, high), draws)
+    band = mean_band(2, draws)
+    metrics = _metrics(settings, band, draws)
     wanted = ("rmse_1_m", "rmse_4_m", "rmse_n_m")
     table_rows: list[Row] = []
     for name, form, values, told in rows:
@@ -189,6 +194,6 @@ def _network(
         if told is not None:
             cells["nees"] = statistics.mean(told)
         table_rows.append(Row(name, form, cells))
-    title = f"All {len(pairs)} links of the network, equal noise, known"
+    title = _titled(f"All {len(pairs)} links of the network, equal noise, known", band)
     columns = tuple(m for m in metrics if m.key in (*wanted, "over_bound", "nees"))
     return Table("network", title, columns, tuple(table_rows))
