@@ -5,14 +5,14 @@ from functools import partial
 
 import numpy as np
 import pytest
-from fleetalign.cosim.papers import xu2019_runs
-from fleetalign.cosim.papers.results import Form, Verdict
+from fleetalign.cosim.papers import xu2019_claims, xu2019_runs
+from fleetalign.cosim.papers.results import Form, Row, Table, Value, Verdict
 from fleetalign.cosim.papers.xu2019 import METHODS, MovingAnchor, study
 from fleetalign.cosim.run import generator
 from fleetalign.cosim.scenario import SCENARIO_FOLDER
 from pydantic import ValidationError
 
-SMALL = MovingAnchor(kind="moving_anchor", nodes=4, monte_carlo_runs=6, radii_m=(25.0,), shadowing_db=(1.0,))
+SMALL = MovingAnchor(kind="moving_anchor", nodes=4, monte_carlo_runs=32, radii_m=(25.0,), shadowing_db=(1.0,))
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +54,30 @@ def test_verdicts_follow_from_the_numbers(small):
         "3.3, Fig. 8": Verdict.PARTLY,
         "4": Verdict.PARTLY,
     }
+
+
+@pytest.mark.parametrize(
+    ("plain", "rooted", "consistent", "expected"),
+    [
+        ((0, 20), (0, 0), (2, 2), Verdict.PARTLY),
+        ((20, 20), (0, 0), (2, 2), Verdict.REPRODUCED),
+        ((0, 20), (0, 20), (2, 2), Verdict.NOT),
+        # What breaks both forms in double precision says nothing of single.
+        ((0, 20), (0, 0), (2, 1e9), Verdict.NOT),
+        ((0, 1), (0, 0), (2, 2), Verdict.UNDECIDED),
+    ],
+)
+def test_square_roots_are_judged_where_the_filter_itself_is_sound(plain, rooted, consistent, expected):
+    def row(name, off, nees):
+        values = {"off_single_percent": off, "nees_double": nees, "condition_log10": 5.0}
+        return Row(name, Form.OURS, {key: Value(v, 0.9 * v, 1.1 * v) for key, v in values.items()})
+
+    rows = [
+        row(f"{name}, case {i}", of[i], consistent[i])
+        for i in range(2)
+        for name, of in (("CKF", plain), ("SR-CKF", rooted))
+    ]
+    assert xu2019_claims._definite(Table("", "", (), tuple(rows))).verdict is expected
 
 
 def test_a_draw_depends_on_seed_and_number_alone():

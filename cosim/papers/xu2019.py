@@ -11,9 +11,10 @@ from . import statistics
 from .results import Form, Metric, Progress, Results, Row, Table
 from .xu2019_claims import claims
 from .xu2019_figures import figures
+from .xu2019_precision import arithmetic
 from .xu2019_runs import Outcome, Random, field_sample, methods, pooled, shown
 from .xu2019_settings import MovingAnchor
-from .xu2019_studies import arithmetic, heights, path_loss
+from .xu2019_studies import heights, path_loss
 
 __all__ = ["MovingAnchor", "study"]
 
@@ -94,10 +95,10 @@ def _table(settings: MovingAnchor, radius: float, draws: int, found: dict[str, O
     low, high = mean_band(2, draws * settings.nodes)
     metrics = (
         Metric("rmse_m", "RMSE, m", 3, "root of the mean squared horizontal error"),
-        Metric("mpe_m", "MPE, m", 3, "mean horizontal error, (9)"),
+        Metric("mpe_m", "MPE, m", 3, "mean horizontal error, (9)", brief=False),
         Metric("over_bound", "RMSE / bound", 3, "on the same draws"),
         Metric("nees", f"NEES ({low:.2f} to {high:.2f})", 2, "two degrees of freedom, and its 95 % band"),
-        Metric("used_percent", "ranges used, %", 0, "of those heard, by a filter from its start on"),
+        Metric("used_percent", "ranges used, %", 0, "of those heard, by a filter", brief=False),
     )
     bound, rows = found["bound"].squares.mean(axis=1), []
     for key, (name, form, about) in METHODS.items():

@@ -209,7 +209,8 @@ def _filtered(s: Sample, state: State) -> Outcome:
 
 
 def _told(s: Sample, x: Array, cov: Array) -> Outcome:
-    # A covariance that a threshold has brought to nothing has no consistency to speak of.
+    # A covariance that a threshold has brought to nothing, or that is none, has no consistency to speak of.
+    cov = np.where(np.isfinite(cov).all(axis=(1, 2), keepdims=True), cov, 0.0)
     regular = np.linalg.det(cov) > 1e-12 * np.linalg.det(s.bound)
     safe = np.where(regular[:, None, None], cov, np.eye(2))
     return Outcome(x - s.x, np.where(regular, nees(x - s.x, safe), np.inf))

@@ -1,23 +1,16 @@
-"""What heights, path loss and single precision make of the moving anchor's methods."""
+"""What heights and path loss make of the moving anchor's methods."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from ...network.localization.beacons import linear, linear_weighted, log_likelihood, quasi_likelihood
-from ...network.localization.cubature import Filter
 from ...network.localization.plane import distances, range_bound
-from ...network.localization.ranging import RangeNoise, UniformErrors
+from ...network.localization.ranging import RangeNoise
 from . import statistics
 from .results import Array, Form, Metric, Row, Table
-from .xu2019_runs import Random, Sample, field_sample, last_state
+from .xu2019_runs import Random, field_sample
 from .xu2019_settings import MovingAnchor
-
-PRECISE = (1e-3, 1e-4, 1e-5)
-"""Shares of the distance that errors are within, for the table of single precision."""
-WIDE_M = 30.0
-"""Standard deviation of the filters' start in that table."""
-_SOME_DRAWS = 20
 
 
 def heights(settings: MovingAnchor, draws: int, random: Random) -> Table:
@@ -112,42 +105,6 @@ def path_loss(settings: MovingAnchor, draws: int, random: Random) -> Table:
     )
     title = f"Ranges by path loss (1), exponent {settings.path_loss_exponent:g}, radius {radius:g} m"
     return Table("path_loss", title, metrics, tuple(rows))
-
-
-def arithmetic(settings: MovingAnchor, draws: int, random: Random) -> Table:
-    """CKF and SR-CKF in single precision, from a wide start, as ranges become more precise."""
-    some, rows = range(min(draws, _SOME_DRAWS)), []
-    for share in (settings.range_error_share, *PRECISE):
-        s = field_sample(settings, settings.radii_m[0], some, random, UniformErrors(share=share))
-        for kind, form in ((Filter.CUBATURE, Form.BASELINE), (Filter.SQUARE_ROOT, Form.PUBLISHED)):
-            single, double = (_wide(kind, s, dtype) for dtype in (np.float32, np.float64))
-            values = {
-                "lost_single_percent": statistics.mean(100 * _mean(settings, single[1])),
-                "lost_double_percent": statistics.mean(100 * _mean(settings, double[1])),
-                "changed_m": statistics.rms(_mean(settings, np.sum((single[0] - double[0]) ** 2, axis=1))),
-            }
-            name = "CKF" if kind is Filter.CUBATURE else "SR-CKF"
-            rows.append(Row(f"{name}, errors within {100 * share:g} %", form, values))
-    metrics = (
-        Metric(
-            "lost_single_percent",
-            "lost, single, %",
-            1,
-            "nodes whose covariance ceased to be positive definite",
-        ),
-        Metric("lost_double_percent", "lost, double, %", 1, "the same in double precision"),
-        Metric("changed_m", "single - double, m", 4, "RMS difference of the positions"),
-    )
-    title = f"Single precision, from a start of {WIDE_M:g} m, radius {settings.radii_m[0]:g} m"
-    return Table("single_precision", title, metrics, tuple(rows))
-
-
-def _wide(kind: Filter, s: Sample, dtype: type) -> tuple[Array, Array]:
-    """Positions, and which covariances are lost."""
-    x0 = linear(s.seen).astype(dtype)
-    P0 = np.tile(np.eye(2, dtype=dtype) * WIDE_M**2, (len(x0), 1, 1)).astype(dtype)
-    state = last_state(kind, x0, P0, s.seen, s.noise)
-    return state.x.astype(float), state.lost.astype(float)
 
 
 def _mean(settings: MovingAnchor, values: Array) -> Array:
