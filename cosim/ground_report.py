@@ -130,6 +130,7 @@ def ground_table(summary: dict[str, Any]) -> Table:
         padding=(0, 1, 0, 0),
     )
     headings, rows = ground_rows(summary)
+    table.caption = Text(told) if (told := without_figures(summary)) else None
     table.add_column("")
     for heading in headings:
         table.add_column(heading, justify="right")
@@ -149,6 +150,17 @@ def ground_rows(summary: dict[str, Any]) -> tuple[list[str], list[tuple[str, lis
         rows.append((NAMES[name], [*shares, _components(score["rmse"]), over, consistency]))
     bound = [percent(summary["hear_enough"], 1), "", "", _components(summary["bound"]), "", ""]
     return headings, [*rows, ("bound", bound)]
+
+
+def without_figures(summary: dict[str, Any]) -> str:
+    """Why estimators have no errors to tell of; nothing where they have."""
+    none = [NAMES[name] for name, score in summary["estimators"].items() if score["over_bound"] is None]
+    if not none:
+        return ""
+    return (
+        f"All ambiguous: {', '.join(none)}. No node's mirror image in the vertical plane of the track is"
+        " ruled out, so there is no error, ratio or NEES. A leg that turns tells the side."
+    )
 
 
 def _components(rmse: dict[str, float | None]) -> str:
@@ -172,6 +184,7 @@ def write_ground(path: Path, title: str, found: Ground, summary: dict[str, Any],
         summary=summary,
         headings=headings,
         rows=rows,
+        told=without_figures(summary),
         command=command,
     )
 

@@ -2,12 +2,13 @@
 
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from fleetalign.align.consistency import mean_band, nees
 from fleetalign.cosim.ground import locate_ground
-from fleetalign.cosim.ground_report import ground_table, summarize_ground
+from fleetalign.cosim.ground_report import ground_table, summarize_ground, without_figures
 from fleetalign.cosim.scenario import ScenarioError, load_scenario, replaced
 from fleetalign.network.ground import GroundSettings, fly_past, overhear
 from fleetalign.network.localization import overflight
@@ -201,6 +202,18 @@ def test_the_table_fits_a_terminal_of_80_columns(found):
     assert "…" not in console.export_text()
 
 
+def test_where_all_are_ambiguous_the_table_says_why_it_is_empty(found):
+    summary = summarize_ground(SETTINGS, found)
+    assert without_figures(summary) == ""
+    fixes = {name: replace(f, ambiguous=np.ones_like(f.ambiguous)) for name, f in found.fixes.items()}
+    summary = summarize_ground(SETTINGS, replace(found, fixes=fixes))
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(ground_table(summary))
+    text = console.export_text()
+    assert "All ambiguous: least squares, EKF, CKF, SR-CKF." in text
+    assert "nan" not in text
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [
@@ -237,6 +250,8 @@ def test_the_command_reports_the_ground_without_a_network(command, flight, undra
     assert status == 2
     assert "has no network; those on the ground are ground.nodes" in err
     path.write_text('title = "mine"\n[ground]\nlink_radius_m = 500\n')
-    status, _, err = command("localize", path, "--draws", 2, "--out", tmp_path, "--quiet")
+    status, _, err = command("localize", path, "--draws", 2, "--out", tmp_path)
     assert status == 2
-    assert err.strip().endswith("mine: ground.link_radius_m = 500 m: no node hears 6 beacons")
+    # One line, without the blank ones of a progress bar.
+    assert err.count("\n") == 1
+    assert err.endswith("mine: ground.link_radius_m = 500 m: no node hears 6 beacons\n")
