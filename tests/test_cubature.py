@@ -198,8 +198,8 @@ def test_points_do_as_derivatives_where_errors_are_small(stated, flight):
 
 
 def test_square_roots_outlive_what_breaks_the_covariance(stated, flight):
-    """Arithmetic alone: one form goes on with a finite covariance where the other ends. Fixes are not as sharp
-    as they are told to be, so this says nothing of the estimate; for that see
+    """Arithmetic alone: one form goes on with a finite covariance where the other ends. Fixes are not as
+    sharp as they are told to be, so this says nothing of the estimate; for that see
     `test_in_single_precision_the_square_root_keeps_the_estimate_that_the_plain_filter_loses`."""
     run = simulate(stated, flight, 0, 7)
     few = run.fixes[:40]
