@@ -109,7 +109,7 @@ def test_rows_4_and_5_of_the_printed_derivatives_stand_in_the_wrong_columns():
     np.testing.assert_array_equal(printed[3:], H[3:][:, [2, 3, 0, 1]])
 
 
-def test_the_fading_factor_needs_a_limit():
+def test_the_fading_factor_needs_a_limit_where_neighbours_are_taken_for_beacons():
     x, problem = network(5, radius_m=14.0)
     start = path_lateration(problem)
     rest = {"noise": "fixed", "neighbor_covariance": False, "range_sd_m": 0.5, "max_steps": 40}

@@ -11,16 +11,13 @@ from .results import Array, Progress, Results
 from .wan2008_claims import claims
 from .wan2008_figures import figures
 from .wan2008_runs import (
-    ELEMENTS,
-    FULL,
-    QUICK,
+    TO_THE_END,
     Cell,
-    Method,
     bounded,
     cells_of,
     draw_network,
-    elements_cell,
     measures,
+    methods_of,
     rigid_cell,
 )
 from .wan2008_settings import Refinement
@@ -41,21 +38,11 @@ class _Work:
         return [
             measures(
                 draw_network(settings, cell, draw, self.seed),
-                _methods(settings, cell),
+                methods_of(settings, cell),
                 bounded(settings, cell),
             )
             for cell in self.cells
         ]
-
-
-def _methods(settings: Refinement, cell: Cell) -> dict[str, Method]:
-    if cell == elements_cell(settings):
-        return FULL | ELEMENTS
-    quoted = cell.share == settings.low_share or cell.connectivity == settings.connectivities[1]
-    full = bounded(settings, cell) or (
-        cell.error == 0 and cell.share in (settings.low_share, settings.high_share) and quoted
-    )
-    return FULL if full else QUICK
 
 
 def study(settings: Refinement, draws: int, seed: int, progress: Progress | None = None) -> Results:
@@ -90,17 +77,20 @@ def study(settings: Refinement, draws: int, seed: int, progress: Progress | None
         figures=figures(settings, found),
         notes=(
             "Not in the paper, and ours: the side of the field, the number of beacons a node is located by"
-            f" ({settings.nearest_beacons}), P, Q and R at the start, the limit of lambda, the scale of"
-            f" Fig. 5.",
-            "Errors are means over nodes that have an estimate, in % of the radius; a node has one if"
-            " paths join"
-            " it to three beacons. Filters that diverge stand where they were last, so that their means"
-            " say no"
-            " more than that: the column of lost nodes counts errors of more than ten radii.",
+            f" ({settings.nearest_beacons}), P, Q and R at the start, the limit of lambda, the scale"
+            " of Fig. 5.",
+            "Errors are means over nodes that have an estimate, in % of the radius; a node has one if paths"
+            " join it to three beacons. Filters that diverge stand where they were last, so that their means"
+            " say no more than that: the column of lost nodes counts errors of more than ten radii.",
+            f"Filters end by their stop rule, or after {settings.max_steps} steps; those to the end may take"
+            f" {TO_THE_END * settings.max_steps}.",
+            "Costs are counted in one network of each size, and messages for the most steps there may be,"
+            " which most of them need: some filters never end by their stop rule.",
+            "The sparse central form is not the printed filter: it has no Q, and puts back as at the start"
+            " what fading forgets.",
             "Without ranging error the bound is zero: such tables have errors only.",
             "Ratios to the bound and NEES are over nodes whose bound is below a quarter of a radius; NEES"
-            " bands are"
-            " those of one node a draw, and so too wide for means over a network.",
+            " bands are those of one node a draw, and so too wide for means over a network.",
             "The filters take the same ranges again at each step as if they were new: what P states falls"
             " below what the ranges hold, and they are inconsistent, mended as well.",
         ),

@@ -14,6 +14,7 @@ _CURVES: dict[str, tuple[str, Look]] = {
     "dv": ("DV-distance", "dashed"),
     "distributed": ("refined, distributed", "line"),
     "central": ("refined, central", "crosses"),
+    "central_long": ("refined, central, to the end", "points"),
     "ours": ("ours", "stars"),
 }
 _Y = "mean error, % of the radius"
@@ -40,16 +41,15 @@ def figures(settings: Refinement, found: dict[Cell, dict[str, Array]]) -> tuple[
         PaperFigure(
             "figure_3",
             "Fig. 3 drawn again: mean error of DV-distance and as refined, exact ranges, with 95 %"
-            " intervals. Crosses"
-            " and stars: the central form and ours, where they were run.",
+            " intervals. Crosses, points and stars: the central form and ours, where they were run.",
             rows,
             height_in=3.2 * len(rows),
         ),
         PaperFigure(
             "figure_5",
             "Fig. 5 drawn again: mean error against the standard deviation of a range, with 95 %"
-            " intervals. The bound"
-            " is of the nodes that ranges hold to a quarter of a radius, the means are of all nodes.",
+            " intervals. The bound is of the nodes that ranges hold to a quarter of a radius, the means are"
+            " of all nodes.",
             ((Panel("ranging error, % of the radius", _Y, (*_curves(sweep), bound)),),),
         ),
     )

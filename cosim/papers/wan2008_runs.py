@@ -175,6 +175,14 @@ def _certain(net: Network) -> Estimate:
     return np.where(sure[:, None], net.cold.x, np.nan), net.cold.cov
 
 
+def _to_the_end(net: Network) -> int:
+    """Steps within which filters end by their own stop rule."""
+    return TO_THE_END * net.settings.max_steps
+
+
+TO_THE_END = 10
+"""Times the most steps of the study; some filters go round in a circle, and never stop by their rule."""
+
 QUICK: dict[str, Method] = {
     "dv": lambda net: (net.start, None),
     "distributed": _distributed,
@@ -185,24 +193,48 @@ FULL: dict[str, Method] = QUICK | {
     "dv_corrected": _corrected,
     "distributed_printed": lambda net: _distributed(net, **_printed(net)),
     "distributed_sage": lambda net: _distributed(net, noise="positive"),
-    "central": _central,
     "ours": lambda net: (net.cold.x, None if net.exact else net.cold.cov),
     "ours_certain": _certain,
 }
-"""And of those that the paper quotes figures of."""
-ELEMENTS: dict[str, Method] = {
+"""And of those that are looked at closely."""
+CENTRAL: dict[str, Method] = {"central": _central}
+"""Besides, where the bound is."""
+ENDED: dict[str, Method] = {
+    "distributed_long": lambda net: _distributed(net, max_steps=_to_the_end(net)),
+    "central_long": lambda net: _central(net, max_steps=_to_the_end(net)),
+}
+"""Besides, where the paper quotes figures: the two forms, each until its own stop rule ends it, or nearly."""
+ELEMENTS: dict[str, Method] = CENTRAL | {
     "printed_step": lambda net: _distributed(net, **_printed(net) | {"stop": "step"}),
     "sage_husa": lambda net: _distributed(net, noise="sage_husa"),
-    "cap_none": lambda net: _distributed(net, max_fading=1e300, neighbor_covariance=False),
-    "cap_1e4": lambda net: _distributed(net, max_fading=1e4, neighbor_covariance=False),
+    "cap_none": lambda net: _distributed(net, max_fading=1e300),
+    "cap_1e4": lambda net: _distributed(net, max_fading=1e4),
     "cap_1": lambda net: _distributed(net, max_fading=1.0),
     "known": lambda net: _distributed(net, neighbor_covariance=False),
+    "known_cap_none": lambda net: _distributed(net, neighbor_covariance=False, max_fading=1e300),
+    "known_cap_1e4": lambda net: _distributed(net, neighbor_covariance=False, max_fading=1e4),
     "norms": lambda net: _distributed(net, stop="norms"),
-    "mended_long": lambda net: _distributed(net, max_steps=10 * net.settings.max_steps),
     "central_printed": lambda net: _central(net, dense=True, **_printed(net)),
     "central_sage": lambda net: _central(net, noise="positive"),
 }
 """One element of the filter at a time, as printed or as mended, at the cell of the paper's largest gain."""
+
+
+def quoted_cells(settings: Refinement) -> tuple[Cell, ...]:
+    """Points of Fig. 3 that the paper quotes gains of."""
+    middle, last = settings.connectivities[1], settings.connectivities[-1]
+    low, high = settings.low_share, settings.high_share
+    return Cell(middle, low), Cell(middle, high), Cell(last, low)
+
+
+def methods_of(settings: Refinement, cell: Cell) -> dict[str, Method]:
+    """What is run at a cell."""
+    if bounded(settings, cell):
+        return FULL | CENTRAL
+    if cell not in quoted_cells(settings):
+        return QUICK
+    return FULL | ENDED | (ELEMENTS if cell == elements_cell(settings) else {})
+
 
 ERROR, COVERED, ASTRAY, SQUARES, BOUND, NEES = range(6)
 """Columns of a measure: mean error in radii over nodes with an estimate; their share; share of nodes lost;

@@ -41,7 +41,13 @@ METHODS = {
         "lambda <= 2, R + tr(P_j) / 2, Q and R as at the start; distributed_ekf.py",
     ),
     "distributed_sage": ("distributed EKF, Sage", Form.MENDED, "the same with Q and R by residuals"),
-    "central": ("central EKF", Form.MENDED, "lambda <= 2, sparse information; central_ekf.py"),
+    "distributed_long": (
+        "distributed EKF, to the end",
+        Form.MENDED,
+        "until its stop rule, or ten times the steps",
+    ),
+    "central": ("central EKF", Form.MENDED, "lambda <= 2, no Q, sparse information; central_ekf.py"),
+    "central_long": ("central EKF, to the end", Form.MENDED, "until its stop rule, or ten times the steps"),
     "ours": ("cold start, least squares", Form.OURS, "all nodes; network/localization/plane_chain.py"),
     "ours_certain": ("the same, nodes that are certain", Form.OURS, "with the chain's verdict"),
 }
@@ -49,17 +55,20 @@ _ELEMENT_ROWS = {
     "distributed_printed": ("distributed, all as printed", Form.PUBLISHED),
     "printed_step": ("as printed, but the stop rule", Form.PUBLISHED),
     "sage_husa": ("mended, but Sage-Husa as printed", Form.PUBLISHED),
-    "cap_none": ("mended, but no limit of lambda, beacons for neighbours", Form.PUBLISHED),
-    "cap_1e4": ("mended, but lambda <= 1e4, beacons for neighbours", Form.PUBLISHED),
+    "cap_none": ("mended, but no limit of lambda", Form.PUBLISHED),
+    "cap_1e4": ("mended, but lambda <= 1e4", Form.PUBLISHED),
     "known": ("mended, but neighbours taken for beacons", Form.PUBLISHED),
+    "known_cap_1e4": ("the same, and lambda <= 1e4", Form.PUBLISHED),
+    "known_cap_none": ("the same, and no limit of lambda", Form.PUBLISHED),
     "norms": ("mended, but the printed stop rule", Form.PUBLISHED),
     "distributed": ("distributed, mended", Form.MENDED),
     "distributed_sage": ("mended, Sage's Q and R kept positive", Form.MENDED),
     "cap_1": ("mended, without fading", Form.MENDED),
-    "mended_long": ("mended, ten times the sweeps", Form.MENDED),
+    "distributed_long": ("mended, to the end", Form.MENDED),
     "central_printed": ("central, all as printed", Form.PUBLISHED),
     "central_sage": ("central, mended, Sage's R kept positive", Form.MENDED),
     "central": ("central, mended", Form.MENDED),
+    "central_long": ("central, mended, to the end", Form.MENDED),
 }
 
 Found = dict[str, Array]
@@ -83,8 +92,8 @@ def connectivity_table(settings: Refinement, degree: float, found: dict[Cell, Fo
         for share in shares
     ]
     metrics += [
-        Metric("lost_percent", f"lost, {100 * low:g} %", 1, "nodes off by more than ten radii"),
-        Metric("coverage_percent", f"told, {100 * low:g} %", 1, "nodes that have an estimate"),
+        Metric("lost_percent", f"lost, {100 * low:g} %", 1, "nodes off by more than ten radii", False),
+        Metric("coverage_percent", f"told, {100 * low:g} %", 1, "nodes that have an estimate", False),
     ]
     rows: list[Row] = []
     for key, (name, form, about) in METHODS.items():
@@ -157,7 +166,7 @@ def sweep_table(settings: Refinement, found: dict[Cell, Found], draws: int) -> T
         for e in errors
     )
     metrics += (
-        Metric("coverage_percent", "told, %", 1, "nodes that have an estimate"),
+        Metric("coverage_percent", "told, %", 1, "nodes that have an estimate", False),
         *_bound_metrics(draws),
     )
     rows: list[Row] = []
@@ -169,7 +178,8 @@ def sweep_table(settings: Refinement, found: dict[Cell, Found], draws: int) -> T
                 values[f"error_{e:g}_percent"] = _percent(at[:, ERROR])
                 if e == judged:
                     values |= _bound_values(at) | {"coverage_percent": _percent(at[:, COVERED])}
-        rows.append(Row(name, form, values, about))
+        if values:
+            rows.append(Row(name, form, values, about))
     cell = sweep_cell(settings, judged)
     title = (
         f"Mean error by ranging error, connectivity {cell.connectivity:g}, {100 * cell.share:g} % beacons,"
@@ -182,7 +192,7 @@ def bound_table(settings: Refinement, found: Found, draws: int) -> Table:
     """The rigid network."""
     metrics = (
         Metric("error_percent", "error, %", 2, "mean error, % of the radius"),
-        Metric("coverage_percent", "told, %", 1, "nodes that have an estimate"),
+        Metric("coverage_percent", "told, %", 1, "nodes that have an estimate", False),
         *_bound_metrics(draws),
     )
     rows = [
@@ -197,6 +207,7 @@ def bound_table(settings: Refinement, found: Found, draws: int) -> Table:
             about,
         )
         for key, (name, form, about) in METHODS.items()
+        if key in found
     ]
     title = (
         f"Rigid: connectivity {settings.rigid_connectivity:g}, {100 * settings.rigid_share:g} % beacons,"

@@ -1,9 +1,9 @@
 """Central refinement of Wan, Wu and Feng: the positions of all nodes in one state of one fading filter.
 
 `refine_central` with ``dense=True`` works equations (8) to (20) out with whole matrices, as printed; Q and R
-by Sage's method are then whole matrices too. Its sparse form is the same filter by its information matrix,
-which stays as sparse as H^T H only as long as nothing is added to P: Q is zero there, as nodes stand still,
-and R diagonal.
+by Sage's method are then whole matrices too. Its sparse form goes by the information matrix, which stays as
+sparse as H^T H only as long as nothing is added to P: Q is zero there, as nodes stand still, R is diagonal,
+and what fading forgets is put back as at the start. Without Q and fading the two forms are one filter.
 
 H of the printed example (five nodes, two of them unknown) has the derivatives of z(4) and z(5) by node 4 in
 the columns of node 3; `fig_2_derivatives` gives both.
@@ -17,6 +17,7 @@ from scipy.sparse import csc_matrix, csr_matrix, diags_array
 from ._fading import LOST_M
 from .distributed_ekf import RefinedPlane
 from .fading_ekf import FadingEkf, initial, sage_share, step, stopped
+from .plane import distances
 from .plane_network import PlaneNetwork, factorized, own_blocks, plane_network
 from .problem import Array, RangeProblem
 
@@ -112,9 +113,7 @@ def fig_2_derivatives(nodes: Array, form: Literal["printed", "mended"] = "mended
     rows 4 and 5 tell of node 3 what is true of node 4.
     """
     pairs = np.array([[2, 1], [2, 4], [2, 3], [3, 0], [3, 4]])
-    apart = nodes[pairs[:, 0]] - nodes[pairs[:, 1]]
-    d = np.linalg.norm(apart, axis=1)
-    u = apart / d[:, None]
+    d, u = (values[:, 0] for values in distances(nodes[pairs[:, 0]], nodes[pairs[:, 1], None]))
     H = np.zeros((5, 4))
     H[:3, :2], H[2, 2:] = u[:3], -u[2]
     H[3:, slice(0, 2) if form == "printed" else slice(2, 4)] = u[3:]

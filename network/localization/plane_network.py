@@ -13,7 +13,7 @@ from scipy.sparse import coo_matrix, csc_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from .plane import check_anchors, check_ranges
+from .plane import check_anchors, check_ranges, distances
 from .problem import Array, Booleans, Integers, LocalizationError, RangeProblem
 
 _SYMMETRIC = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
@@ -80,9 +80,7 @@ class PlaneNetwork:
     def predicted(self, x: Array) -> tuple[Array, csr_matrix]:
         """Distances (m,) at positions (n, 2), and their derivatives H (m, 2 k)."""
         i, j = self.links.T
-        apart = x[i] - x[j]
-        d = np.maximum(np.linalg.norm(apart, axis=1), 1e-12)
-        u = apart / d[:, None]
+        d, u = (values[:, 0] for values in distances(x[i], x[j][:, None]))
         columns, starts, kept = self._pattern
         values = np.hstack([u, -u])[kept]
         return d, csr_matrix((values, columns, starts), shape=(len(d), self.unknowns))
