@@ -81,7 +81,7 @@ def _counted(settings: Refinement, cell: Cell, nodes: int, seed: int) -> dict[st
     side = settings.side_m * np.sqrt(nodes / settings.nodes)
     net = draw_network(settings.model_copy(update={"nodes": nodes, "side_m": side}), cell, 0, seed)
     ekf = settings.ekf(net.radius, net.range_sd)
-    central = refine_central(net.problem, net.start, ekf)
+    central = refine_central(net.problem, net.start, ekf, covariance=False)
     distributed = refine_distributed(net.problem, net.start, ekf)
     from_plane = _from_plane(net, nodes <= settings.dense_most)
     unknown = int(net.unknown.sum())

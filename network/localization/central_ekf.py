@@ -27,21 +27,26 @@ of some hundred ranges to a few per cent."""
 
 
 def refine_central(
-    problem: RangeProblem, x0: Array, settings: FadingEkf | None = None, dense: bool = False
+    problem: RangeProblem,
+    x0: Array,
+    settings: FadingEkf | None = None,
+    dense: bool = False,
+    covariance: bool = True,
 ) -> RefinedPlane:
     """Steps over a network in the plane (`plane.in_plane`) from a start x0 (n, 2) m, all nodes together.
 
     Nodes whose start is NaN take no part. Raises `LocalizationError` for a start of another shape. The sparse
     form takes ``noise="sage_husa"`` for ``"positive"``: what is left of R's diagonal could be negative.
+    Without ``covariance`` its P is NaN: of thousands of nodes it is most of the work.
     """
     settings = settings or FadingEkf()
     net = plane_network(problem, x0)
     if not net.free.any():
         return _refined(net, net.x, np.zeros((0, 2, 2)), 0, True, False)
-    return _by_matrices(net, settings) if dense else _by_information(net, settings)
+    return _by_matrices(net, settings) if dense else _by_information(net, settings, covariance)
 
 
-def _by_information(net: PlaneNetwork, settings: FadingEkf) -> RefinedPlane:
+def _by_information(net: PlaneNetwork, settings: FadingEkf, covariance: bool) -> RefinedPlane:
     """(8) to (20) with Y = P^-1: ``Y^- = Y / lambda``, ``Y = Y^- + H^T R^-1 H``.
 
     Where the ranges hold a node in one direction alone, fading would let P grow without end in the other:
@@ -71,7 +76,8 @@ def _by_information(net: PlaneNetwork, settings: FadingEkf) -> RefinedPlane:
             R = (1 - weight) * R + weight * (left**2 + spread)
         lost = not np.abs(x).max() < LOST_M
         ended = not lost and stopped(x[net.free], before[net.free], settings)
-    return _refined(net, x, own_blocks(Y, N), k, ended, lost)
+    own = own_blocks(Y, N) if covariance else np.full((N // 2, 2, 2), np.nan)
+    return _refined(net, x, own, k, ended, lost)
 
 
 def _probed(H: csr_matrix, factor: Any, signs: Array) -> Array:
