@@ -84,8 +84,8 @@ def test_run_that_is_stopped_keeps_what_it_has(command, tmp_path, monkeypatch):
 
     real = run_module.simulate_all
 
-    def stopping(*arguments):
-        for run in real(*arguments):
+    def stopping(*arguments, **options):
+        for run in real(*arguments, **options):
             yield run
             if run.run_id == 1:
                 os.kill(os.getpid(), signal.SIGINT)
