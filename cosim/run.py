@@ -18,12 +18,13 @@ from ..align.bridging.outage import bridged
 from ..align.estimate import Array, Estimate
 from ..align.methods import METHODS, estimate
 from ..align.settings import FilterSettings
+from ..network import packet_faults
 from ..network.fixes import Fixes
 from ..network.fleet import CentrePath
 from ..network.fleet_network import FleetNetwork, fly_network
 from ..network.record import NetworkRecord
 from ..network.source import draw_fixes
-from ..sins import attitude
+from ..sins import attitude, imu_faults
 from ..sins.earth import GravityModel
 from ..sins.imu import Imu, ImuErrors, simulate_imu
 from ..sins.units import DEG
@@ -74,6 +75,7 @@ def simulate(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> Run:
     imu = simulate_imu(
         window.time, window.dtheta_b, window.dv_b, scenario.imu, generator(seed, run_id, "imu")
     )
+    imu = imu_faults.faulty(imu, scenario.faults.imu)
     fixes, network = fixes_of(scenario, flight, run_id, seed)
     rng = generator(seed, run_id, "coarse attitude")
     q_nb_coarse = coarse_attitude(window.q_nb[0], scenario.alignment.coarse, rng)
@@ -109,12 +111,14 @@ def fixes_of(
     window = alignment_window(scenario, flight)
     start_s, end_s = window.time[0], window.time[-1]
     outages = outage_times(scenario, window)
-    if not isinstance(scenario.fixes, FleetNetwork):
-        drawn = draw_fixes(window, start_s, end_s, scenario.fixes, generator(seed, run_id, "fixes"))
-        return without(drawn, outages), None
-    path = CentrePath(flight, flight.time[0], flight.time[-1])
-    made, network = fly_network(path, start_s, end_s, scenario.fixes, partial(generator, seed, run_id))
-    return without(made, outages), network
+    network = None
+    if isinstance(scenario.fixes, FleetNetwork):
+        path = CentrePath(flight, flight.time[0], flight.time[-1])
+        made, network = fly_network(path, start_s, end_s, scenario.fixes, partial(generator, seed, run_id))
+    else:
+        made = draw_fixes(window, start_s, end_s, scenario.fixes, generator(seed, run_id, "fixes"))
+    rng = generator(seed, run_id, "packet faults")
+    return packet_faults.faulty(without(made, outages), scenario.faults.packets, rng), network
 
 
 def outage_times(scenario: Scenario, window: Flight) -> tuple[tuple[float, float], ...]:

@@ -18,9 +18,11 @@ from ..align.filters import FILTERS
 from ..align.methods import METHODS
 from ..align.settings import FilterSettings
 from ..network.ground import GroundSettings
+from ..network.packet_faults import PacketFaults
 from ..network.source import AnyFixSource, FixSource
 from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
+from ..sins.imu_faults import ImuFault
 from ..sins.settings import Settings
 from .mistakes import shortened, told_mistakes
 
@@ -105,6 +107,13 @@ class Outage(Settings):
         return self.start_s + self.duration_s
 
 
+class Faults(Settings):
+    """What breaks during the alignment, beside outages. Times count from its start."""
+
+    imu: tuple[ImuFault, ...] = Field(default=(), max_length=100)
+    packets: PacketFaults = PacketFaults()
+
+
 class PaperRow(Settings):
     """One line of a published table."""
 
@@ -137,6 +146,7 @@ class Scenario(Settings):
     alignment: AlignmentSettings = AlignmentSettings()
     outages: tuple[Outage, ...] = Field(default=(), max_length=100)
     """Times without fixes, whatever their source."""
+    faults: Faults = Faults()
     ground: GroundSettings | None = None
     """Nodes on the ground that `localize` locates by the aircraft."""
     variants: dict[str, dict[str, Any]] = Field(default={})
