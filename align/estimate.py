@@ -29,6 +29,8 @@ class FixOutcome(IntEnum):
     """Stamped later than it arrived."""
     INVALID = 8
     """No fix: latitude beyond a pole, or a covariance that is not symmetric and positive definite."""
+    UNAUTHENTIC = 9
+    """The receiver refused its tag, or its age (`network.authentication`)."""
 
 
 class RunOutcome(IntEnum):
