@@ -84,6 +84,7 @@ def received(time: Array, fixes: Fixes, by_stamp: bool, stamp_sd: float) -> tupl
             outcome[~finite.reshape(k, -1).all(axis=1)] = FixOutcome.NOT_FINITE
     invalid = ~_are_covariances(fixes.cov) | (np.abs(fixes.lla[:, 0]) > np.pi / 2)
     outcome[(outcome == FixOutcome.PENDING) & invalid] = FixOutcome.INVALID
+    outcome[~fixes.authentic] = FixOutcome.UNAUTHENTIC
     arrival_epoch = np.searchsorted(time, fixes.t_arrival)
     reference_epoch = np.minimum(np.searchsorted(time, reference), arrival_epoch)
     source, packet = _numbered(fixes)

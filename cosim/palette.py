@@ -1,6 +1,6 @@
 """Colours that mean the same in the recording and in the report."""
 
-from ..align.estimate import FixOutcome
+from ..align.estimate import FixOutcome, NavStatus
 from ..align.methods import METHODS
 from ..network.record import FixFate
 
@@ -28,6 +28,14 @@ OUTCOME_COLORS = {
     FixOutcome.NOT_FINITE: CRIMSON,
     FixOutcome.FUTURE: VIOLET,
     FixOutcome.INVALID: BROWN,
+    FixOutcome.UNAUTHENTIC: ORANGE,
+}
+
+STATUS_COLORS = {
+    NavStatus.NOT_STARTED: LIGHT_GREY,
+    NavStatus.AIDED: BLUE,
+    NavStatus.DEAD_RECKONING: VERMILION,
+    NavStatus.STOPPED: CRIMSON,
 }
 
 NODE = BLUE

@@ -1,7 +1,7 @@
 """Position and velocity fixes, as a receiver gets them from the network."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from .tables import check_range, check_rows, read_columns, write_columns
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
 
 _ROW_SHAPES = {
     "t_valid": (),
@@ -22,7 +23,9 @@ _ROW_SHAPES = {
     "cov": (6, 6),
     "source": (),
     "sequence": (),
+    "authentic": (),
 }
+_TYPES = {"source": np.int64, "sequence": np.int64, "authentic": np.bool_}
 
 
 class FixesError(ValueError):
@@ -53,12 +56,16 @@ class Fixes:
     """Node that made the fix, (k,)."""
     sequence: Integers
     """Number that the node gave the packet, (k,): a duplicate repeats source and sequence."""
+    authentic: Booleans = field(default_factory=lambda: np.ones(0, np.bool_))
+    """Whether the receiver takes the packet for its source's, and for fresh, (k,); by default it does."""
 
     def __post_init__(self) -> None:
         k = len(self)
+        if not len(self.authentic):
+            object.__setattr__(self, "authentic", np.ones(k, np.bool_))
         for name, row_shape in _ROW_SHAPES.items():
             value = getattr(self, name)
-            dtype = np.int64 if name in ("source", "sequence") else np.float64
+            dtype = _TYPES.get(name, np.float64)
             if not isinstance(value, np.ndarray) or value.dtype != dtype or value.shape != (k, *row_shape):
                 got = (
                     f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
@@ -104,6 +111,7 @@ _RANGES = (
     | dict.fromkeys(_VELOCITY, (-1e4, 1e4))
     | dict.fromkeys(_SD, (1e-6, 1e6))
     | dict.fromkeys(_NUMBERS, (0.0, 2.0**53))
+    | {"authentic": (0.0, 1.0)}
     | dict.fromkeys(_CORRELATIONS, (-1.0, 1.0))
 )
 
@@ -114,13 +122,14 @@ def read_fixes(file: str | Path) -> Fixes:
     Columns: ``t_valid_s, t_stamp_s, t_arrival_s, lat_deg, lon_deg, height_m, v_north_mps, v_east_mps,
     v_down_mps``; standard deviations ``sd_north_m, sd_east_m, sd_down_m, sd_v_north_mps, sd_v_east_mps,
     sd_v_down_mps``; ``source, sequence``; and, where errors are correlated, correlation coefficients
-    ``corr_north_east`` ... ``corr_v_east_v_down`` (those absent are zero).
+    ``corr_north_east`` ... ``corr_v_east_v_down`` (those absent are zero); ``authentic``, 0 for packets whose
+    tag the receiver refused (1 if absent).
 
     Raises `TableError`, one line with file, column, row, value and allowed range.
     """
     file = Path(file)
     required = (*_TIMES, *_POSITION, *_VELOCITY, *_SD, *_NUMBERS)
-    columns = read_columns(file, required, _CORRELATIONS, refuse_others=True)
+    columns = read_columns(file, required, (*_CORRELATIONS, "authentic"), refuse_others=True)
     for name, values in columns.items():
         check_range(file, name, values, *_RANGES[name])
     for name in _NUMBERS:
@@ -144,6 +153,7 @@ def read_fixes(file: str | Path) -> Fixes:
         cov=correlation * sd[:, :, None] * sd[:, None, :],
         source=columns["source"].astype(np.int64),
         sequence=columns["sequence"].astype(np.int64),
+        authentic=columns.get("authentic", np.ones(len(t_valid))) > 0,
     ).sorted_by_arrival()
 
 
@@ -162,4 +172,6 @@ def write_fixes(fixes: Fixes, file: str | Path) -> None:
     for name, (i, j) in _CORRELATIONS.items():
         if fixes.cov[:, i, j].any():
             columns[name] = np.clip(fixes.cov[:, i, j] / (sd[:, i] * sd[:, j]), -1, 1)
+    if not fixes.authentic.all():
+        columns["authentic"] = fixes.authentic.astype(np.float64)
     write_columns(columns | {"source": fixes.source, "sequence": fixes.sequence}, Path(file))
