@@ -1,11 +1,13 @@
 """Mistakes in a TOML file against its schema: file, field, value, unit, what is allowed, one line each."""
 
-import tomllib
 from collections.abc import Iterable
-from pathlib import Path
+from datetime import date, time
+from functools import cache
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
+
+from .toml import field_name, shortened
 
 Schema = dict[str, Any]
 
@@ -32,16 +34,27 @@ UNITS = {
 """What the endings of field names stand for; the longest that fits counts."""
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Content of a TOML file. Raises ValueError, one line that begins with the file."""
-    try:
-        return tomllib.loads(path.read_text("utf-8-sig"))
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: not UTF-8 text, at byte {error.start}") from error
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: not TOML: {error}") from error
+MOST_LINES = 20
+"""Of mistakes in one file."""
+MOST_LETTERS = 500
+"""Of what is told of one."""
+_WORDS = {
+    **dict.fromkeys(("string_type", "string_sub_type"), "must be text"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
+    **dict.fromkeys(
+        ("int_type", "int_parsing", "int_from_float", "int_parsing_size"), "must be a whole number"
+    ),
+    **dict.fromkeys(("float_type", "float_parsing"), "must be a number"),
+    "finite_number": "must be a finite number",
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "must be a table"),
+    **dict.fromkeys(("tuple_type", "list_type"), "must be a list"),
+    "path_type": "must be the name of a file",
+    **dict.fromkeys(("literal_error", "enum"), "allowed are {expected}"),
+    "too_short": "has {actual_length} entries: allowed are {min_length} or more",
+    "too_long": "has too many entries: allowed are {max_length}",
+    "string_pattern_mismatch": "must fit {pattern}",
+}
+"""For kinds of pydantic's errors; in braces what their context has."""
 
 
 def told_mistakes(origin: str, error: ValidationError, model: type[BaseModel], whole: str = "") -> str:
@@ -49,49 +62,70 @@ def told_mistakes(origin: str, error: ValidationError, model: type[BaseModel], w
 
     A mistake of the content as a whole is told of ``whole``, if that has a name.
     """
-    schema = model.model_json_schema()
-    return "\n".join(_told(origin, mistake, schema, whole) for mistake in error.errors(include_url=False))
+    told: dict[str, None] = {}
+    fields = set()
+    for mistake in error.errors(include_url=False):
+        # A value that fits none of several types is one mistake.
+        field, what = _told(mistake, _schema(model), whole)
+        if not (field in fields and mistake["type"] in _WORDS):
+            told |= {f"{origin}: {shortened(line, MOST_LETTERS)}": None for line in what.splitlines()}
+        fields.add(field)
+    lines = list(told)
+    more = [f"{origin}: and {len(lines) - MOST_LINES} more mistakes"] if len(lines) > MOST_LINES else []
+    return "\n".join(lines[:MOST_LINES] + more)
 
 
-def _told(origin: str, mistake: Any, schema: Schema, whole: str) -> str:
-    parts, allowed = _declared(mistake["loc"], schema)
-    field = ".".join(parts) or whole
+@cache
+def _schema(model: type[BaseModel]) -> Schema:
+    return model.model_json_schema()
+
+
+def _told(mistake: Any, schema: Schema, whole: str) -> tuple[str, str]:
+    """The field, and what is told of it."""
     kind, value = mistake["type"], mistake["input"]
+    parts, allowed = _declared(mistake["loc"], schema, kind == "extra_forbidden")
+    field = field_name(parts) or whole
     if kind in ("missing", "extra_forbidden"):
-        return f"{origin}: {field}: {'missing' if kind == 'missing' else 'unknown field'}"
+        return field, f"{field}: {'missing' if kind == 'missing' else 'unknown field'}"
+    if kind == "union_tag_not_found":
+        return field, f"{field}.kind: missing"
     if kind == "union_tag_invalid":
         tag, expected = mistake["ctx"]["tag"], mistake["ctx"]["expected_tags"]
-        return f"{origin}: {field}.kind = {tag!r}: allowed are {expected}"
-    unit = _unit(field)
-    shown = "" if isinstance(value, dict) or not field else f" = {shortened(repr(value))} {unit}".rstrip()
-    told = (
-        f"allowed is {allowed} {unit}".rstrip() if allowed else mistake["msg"].removeprefix("Value error, ")
-    )
-    return f"{origin}: {field}{shown}: {told}" if field else f"{origin}: {told}"
+        return field, f"{field}.kind = {_shown(tag)}: allowed are {expected}"
+    unit = _unit(parts)
+    shown = "" if isinstance(value, dict) or not field else f" = {_shown(value)} {unit}".rstrip()
+    if allowed:
+        told = f"allowed is {allowed} {unit}".rstrip()
+    elif kind in _WORDS:
+        told = _WORDS[kind].format_map(mistake.get("ctx", {}))
+    else:
+        told = mistake["msg"].removeprefix("Value error, ")
+    return field, f"{field}{shown}: {told}" if field else told
 
 
-def shortened(text: str) -> str:
-    """A text of at most 60 characters."""
-    return text if len(text) <= 60 else f"{text[:57]}..."
+def _shown(value: Any) -> str:
+    return shortened(str(value) if isinstance(value, date | time) else repr(value))
 
 
-def _declared(location: Iterable[str | int], schema: Schema) -> tuple[list[str], str]:
-    """Field names of a location in a schema (tags of alternatives dropped), and the range it declares."""
-    candidates, parts = [schema], []
-    for part in location:
-        declared = [p for c in candidates for p in _properties(c, schema)]
-        nested = [p[part] for p in declared if part in p]
-        # A table under names of the user's own.
-        nested += [
-            c["additionalProperties"] for c in candidates if isinstance(c.get("additionalProperties"), dict)
-        ]
-        candidates = nested or candidates
-        # What is not a property is an index, an unknown field, or the tag of an alternative: drop the tag.
-        tags = [p["kind"].get("const") for p in declared if "kind" in p]
-        if nested or part not in tags:
+def _declared(location: Iterable[str | int], schema: Schema, unknown: bool) -> tuple[list[str], str]:
+    """Field names of a location in a schema (alternatives' tags dropped), and the range it declares.
+
+    ``unknown``: the last part is a name that is in no schema.
+    """
+    location = list(location)
+    candidates, parts = _alternatives(schema, schema), []
+    for place, part in enumerate(location):
+        nested = [found for c in candidates if (found := _inside(c, part)) is not None]
+        if nested:
+            candidates = [a for found in nested for a in _alternatives(found, schema)]
+        # What is neither a property nor an index is the tag of an alternative, or a name that nobody knows.
+        if nested or isinstance(part, int) or (unknown and place == len(location) - 1):
             parts.append(str(part))
+        else:
+            tagged = [c for c in candidates if c.get("properties", {}).get("kind", {}).get("const") == part]
+            candidates = tagged or candidates
     lower = upper = ""
-    for candidate in [a for c in candidates for a in (c, *c.get("anyOf", []))]:
+    for candidate in candidates:
         for key, opening in (("minimum", "["), ("exclusiveMinimum", "(")):
             lower = f"{opening}{candidate[key]:g}" if key in candidate else lower
         for key, closing in (("maximum", "]"), ("exclusiveMaximum", ")")):
@@ -99,18 +133,26 @@ def _declared(location: Iterable[str | int], schema: Schema) -> tuple[list[str],
     return parts, f"{lower or '(-inf'}, {upper or 'inf)'}" if lower or upper else ""
 
 
-def _properties(candidate: dict[str, Any], schema: dict[str, Any]) -> list[dict[str, Any]]:
-    """Properties of a part of a JSON schema, through references and alternatives."""
+def _inside(candidate: Schema, part: str | int) -> Schema | None:
+    """The schema of a property, of a table under names of the user's own, or of an entry of a list."""
+    if isinstance(part, int):
+        entries = candidate.get("prefixItems", [])
+        found = entries[part] if part < len(entries) else candidate.get("items")
+    else:
+        found = candidate.get("properties", {}).get(part, candidate.get("additionalProperties"))
+    return found if isinstance(found, dict) else None
+
+
+def _alternatives(candidate: Schema, schema: Schema) -> list[Schema]:
+    """The parts of a JSON schema that it may be, through references."""
     if "$ref" in candidate:
-        return _properties(schema["$defs"][candidate["$ref"].rsplit("/", 1)[1]], schema)
-    found = [candidate["properties"]] if "properties" in candidate else []
-    for alternatives in ("anyOf", "oneOf", "allOf"):
-        for alternative in candidate.get(alternatives, []):
-            found += _properties(alternative, schema)
-    return found
+        candidate = schema["$defs"][candidate["$ref"].rsplit("/", 1)[1]]
+    inner = [a for key in ("anyOf", "oneOf", "allOf") for a in candidate.get(key, [])]
+    return [candidate, *(b for a in inner for b in _alternatives(a, schema))]
 
 
-def _unit(field: str) -> str:
+def _unit(parts: list[str]) -> str:
     """Unit of a field, from the ending of its name."""
-    endings = [ending for ending in UNITS if field.endswith(ending)]
+    name = next((part for part in reversed(parts) if not part.isdigit()), "")
+    endings = [ending for ending in UNITS if name.endswith(ending)]
     return UNITS[max(endings, key=len)] if endings else ""

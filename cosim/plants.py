@@ -1,12 +1,12 @@
 """Plants for `fleetalign lmi` in TOML, and mistakes in them told in one line."""
 
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from ..align.lmi.plant import MATRICES, Plant, checked_polytope
 from .command_line import InputError
+from .toml import field_name, read_named, shortened
 
 PLANT_FOLDER = resources.files("fleetalign.scenarios.plants")
 PLANT_KEYS = {"title", "kind", "rho", "vertex", *MATRICES}
@@ -28,25 +28,16 @@ def load_plant(name_or_path: str) -> tuple[str, str, tuple[Plant, ...]]:
     what is allowed.
     """
     try:
-        if name_or_path in plant_names():
-            text = PLANT_FOLDER.joinpath(name_or_path + ".toml").read_text("utf-8")
-        else:
-            text = Path(name_or_path).read_text("utf-8-sig")
-        content = tomllib.loads(text)
-    except OSError as error:
-        why = f"cannot be read: {error.strerror}"
-        if not name_or_path.endswith(".toml"):
-            why = f"neither a bundled plant ({', '.join(plant_names())}) nor a .toml file"
-        raise InputError(f"{name_or_path}: {why}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{name_or_path}: not TOML: {error}") from error
+        path, content = read_named(name_or_path, "plant", Path(str(PLANT_FOLDER)), plant_names())
+    except ValueError as error:
+        raise InputError(str(error)) from error
     try:
-        title = content.get("title", Path(name_or_path).stem)
+        title = content.get("title", path.stem)
         if not isinstance(title, str):
-            raise ValueError(f"title = {title!r}: must be text")
+            raise ValueError(f"title = {shortened(repr(title))}: must be text")
         kind = content.get("kind", PLANT_KINDS[0])
         if kind not in PLANT_KINDS:
-            raise ValueError(f"kind = {kind!r}: allowed are {', '.join(PLANT_KINDS)}")
+            raise ValueError(f"kind = {shortened(repr(kind))}: allowed are {', '.join(PLANT_KINDS)}")
         return title, kind, _vertices(content)
     except ValueError as error:
         raise InputError(f"{name_or_path}: {error}") from error
@@ -73,7 +64,7 @@ def _vertices(content: dict[str, Any]) -> tuple[Plant, ...]:
 def _refuse_unknown(table: dict[str, Any], known: set[str]) -> None:
     for key in table:
         if key not in known:
-            raise ValueError(f"{key}: unknown field; known are {', '.join(sorted(known))}")
+            raise ValueError(f"{field_name([key])}: unknown field; known are {', '.join(sorted(known))}")
 
 
 def _plant(table: dict[str, Any], rho: Any) -> Plant:

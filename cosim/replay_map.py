@@ -21,7 +21,8 @@ from ..sins.imu import ImuErrors
 from ..sins.settings import Settings
 from ..sins.units import ARCSEC, DEG, DEG_PER_HOUR, HOUR, MILLISECOND, G
 from .command_line import InputError
-from .mistakes import read_toml, told_mistakes
+from .mistakes import told_mistakes
+from .toml import read_toml
 
 Array = NDArray[np.float64]
 Three = tuple[str, str, str]

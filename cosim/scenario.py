@@ -3,7 +3,6 @@
 import hashlib
 import json
 import math
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -24,7 +23,8 @@ from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
 from ..sins.imu_faults import ImuFault
 from ..sins.settings import Settings
-from .mistakes import shortened, told_mistakes
+from .mistakes import told_mistakes
+from .toml import read_named
 
 SCENARIO_FOLDER = resources.files("fleetalign.scenarios")
 
@@ -223,26 +223,11 @@ def read_scenario(name_or_path: str) -> tuple[str, dict[str, Any], Path]:
 
     Raises `ScenarioError` for what cannot be read as TOML.
     """
-    if name_or_path in scenario_names():
-        name, folder = name_or_path, Path()
-        text = SCENARIO_FOLDER.joinpath(name_or_path + ".toml").read_text("utf-8")
-    else:
-        path = Path(name_or_path)
-        name, folder = path.stem, path.parent
-        try:
-            text = path.read_text("utf-8-sig")
-        except OSError as error:
-            why = f"cannot be read: {error.strerror}"
-            if path.suffix != ".toml":
-                why = f"neither a bundled scenario ({', '.join(scenario_names())}) nor a .toml file"
-            raise ScenarioError(f"{shortened(name_or_path)}: {why}") from error
-        except UnicodeDecodeError as error:
-            raise ScenarioError(f"{name_or_path}: not UTF-8 text, at byte {error.start}") from error
     try:
-        content = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ScenarioError(f"{name_or_path}: not TOML: {error}") from error
-    return name, content, folder
+        path, content = read_named(name_or_path, "scenario", Path(str(SCENARIO_FOLDER)), scenario_names())
+    except ValueError as error:
+        raise ScenarioError(str(error)) from error
+    return path.stem, content, path.parent
 
 
 def load_scenario(name_or_path: str) -> tuple[str, Scenario]:

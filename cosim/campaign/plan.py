@@ -13,8 +13,9 @@ from pydantic import Field, ValidationError, model_validator
 from scipy.stats import qmc
 
 from ...sins.settings import Settings
-from ..mistakes import read_toml, told_mistakes
+from ..mistakes import told_mistakes
 from ..scenario import Scenario, ScenarioError, load_scenario, replaced
+from ..toml import read_toml
 
 MOST_POINTS = 100_000
 
