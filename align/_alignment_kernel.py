@@ -11,7 +11,7 @@ import math
 from numba import njit
 
 from ..sins._kernels import COMPILED, advance
-from ._cubature_kernel import cubature_predict, cubature_update
+from ._cubature_kernel import cubature_predict, cubature_update, error_between
 from ._kernels import (
     DUPLICATE,
     ESTIMATED,
@@ -25,9 +25,12 @@ from ._kernels import (
     fill_fix_noise,
     fill_noise,
     kinematics,
+    navigate,
     predict,
     update,
 )
+
+NOT_STARTED, AIDED, DEAD_RECKONING, STOPPED = range(4)
 
 
 @njit(**COMPILED)
@@ -78,6 +81,31 @@ def _carry_attitude(X, time, increments, k, q_initial, lla, v_n, gravity_model, 
 
 
 @njit(**COMPILED)
+def _without(X, P, rooted, time, increments, k, gravity_model, work, before):
+    """Write to ``before`` where X, of epoch k - 1, comes to without further fixes, and its standard
+    deviations."""
+    X_before, sd, _ = before
+    for i in range(len(X)):
+        X_before[i] = X[i]
+    for i in range(9):
+        sd[i] = math.sqrt(max(covariance(P, rooted, i, i), 0.0))
+    navigate(X_before, time, increments, k, gravity_model, work[3], work[4], work[5])
+
+
+@njit(**COMPILED)
+def _moved(X, before):
+    """How far X is from where it would be without the latest fixes: the greatest change of position,
+    velocity or misalignment over its standard deviation before."""
+    X_before, sd, e = before
+    error_between(X_before, X, e)
+    greatest = 0.0
+    for i in range(9):
+        if e[i] != 0.0:
+            greatest = max(greatest, abs(e[i]) / sd[i] if sd[i] > 0 else math.inf)
+    return greatest
+
+
+@njit(**COMPILED)
 def _copy(X_from, P_from, X_to, P_to):
     """Copy state and covariance; loops compile much faster than array assignments, and one is quicker than
     two."""
@@ -118,6 +146,7 @@ def align(
     vibration_variance,
     gate,
     patience,
+    dead_reckoning_after,
     horizon,
     samples,
     gravity_model,
@@ -144,27 +173,32 @@ def align(
         n = 16, or 19 if the lever arm is estimated.
     noise_density (n,) : power spectral densities of the white noises on the states.
     gate : largest NIS to accept. patience : fixes refused in a row before starting again.
+    dead_reckoning_after : s without a fix that was taken.
     horizon : epochs. samples : intervals to average the specific force over.
     output_epoch (m,) : epochs at which to write the outputs, increasing.
     outputs : tuple of X (m, 21), variances (m, n), misalignment covariance (m, 3, 3), innovation (k, 6),
-        nis (k,), fix time (k,); what is not reached keeps what it had.
+        nis (k,), fix time (k,), fix jump (k,), status (m,) and jump (m,), see `estimate.Estimate`; what is
+        not reached keeps what it had.
     memory : new `_memory.working_memory`.
     cubature : new `_cubature_kernel.points_memory`, for a filter by cubature points instead of derivatives;
         the loop is compiled for each of the two, without the other's branches.
     """
     fix_lla, fix_v_n, fix_cov, t_reference, arrival_epoch, reference_epoch, packet, source, sequence = fixes
-    X_out, variance_out, misalignment_out, innovation_out, nis_out, fix_time_out = outputs
+    X_out, variance_out, misalignment_out, innovation_out, nis_out, fix_time_out = outputs[:6]
+    fix_jump_out, status_out, jump_out = outputs[6:]
     n, n_fixes = len(time), len(arrival_epoch)
     stamped, estimated = delay_model == STAMPED, delay_model == ESTIMATED
-    X, P, X_kept, P_kept, epoch, applied, seen, newest, motion, innovation, work, buffers = memory
+    X, P, X_kept, P_kept, epoch, applied, seen, newest, before, motion, innovation, work, buffers = memory
     C, f_n, w_b, arm, u = motion
     kept, n_applied = len(X_kept), 0
     rooted = False if cubature is None else cubature[0]
     running, now, arriving, output = False, 0, 0, 0
+    t_aided, jump = -math.inf, 0.0
 
     for k in range(n):
         # Take in what has arrived, each fix at its place in the order of application.
         back, restart = k, False
+        arrived, n_before = arriving, n_applied
         while arriving < n_fixes and arrival_epoch[arriving] <= k:
             f = arriving
             arriving += 1
@@ -193,6 +227,9 @@ def align(
             back = min(back, epoch[f])
 
         # Go back to the oldest of them, and forward again to the present.
+        moves = running and n_applied > n_before
+        if moves:
+            _without(X, P, rooted, time, increments, k, gravity_model, work, before)
         first = n_applied
         while first > 0 and epoch[applied[first - 1]] >= back:
             first -= 1
@@ -272,6 +309,21 @@ def align(
         if not _meaningful(X, P):
             return running, False
 
+        # What the user is told of it: now, whatever is done again later.
+        moved = _moved(X, before) if moves else 0.0
+        jump = max(jump, moved)
+        for f in range(arrived, arriving):
+            taken = outcome[f] == FUSED or outcome[f] == INITIALIZED
+            if taken:
+                t_aided = time[k]
+            if moves and (taken or outcome[f] == GATED):
+                fix_jump_out[f] = moved
+        if output < len(output_epoch) and output_epoch[output] == k:
+            status_out[output] = NOT_STARTED
+            if running:
+                status_out[output] = DEAD_RECKONING if time[k] - t_aided > dead_reckoning_after else AIDED
+            jump_out[output] = jump
+            jump = 0.0
         if running and output < len(output_epoch) and output_epoch[output] == k:
             for i in range(len(X)):
                 X_out[output, i] = X[i]

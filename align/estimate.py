@@ -1,6 +1,6 @@
 """What an alignment filter yields: the navigation solution, its uncertainty, and an outcome per fix."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
@@ -43,6 +43,45 @@ class RunOutcome(IntEnum):
     """State or covariance lost meaning: the run was stopped there."""
     NO_COARSE = 3
     """The motion never told enough of the attitude to start a filter from."""
+    IMU_LOST = 4
+    """Samples of the IMU had to be held for longer than its patience: the run was stopped there."""
+
+
+class SampleOutcome(IntEnum):
+    """What became of a sample of the IMU that could not be taken as it came; see `align.increments`."""
+
+    NOT_FINITE = 1
+    """No number, or none that any vehicle makes: held."""
+    STUCK = 2
+    """An axis repeated its last value: held."""
+    SATURATED = 3
+    """An axis was at its full scale: taken, but the truth lies beyond."""
+    MISSING = 4
+    """It never came: held."""
+    OUT_OF_ORDER = 5
+    """Its time did not move on: refused, and its place held."""
+
+
+class NavStatus(IntEnum):
+    """What the navigation rested on at a moment, by what had arrived until then."""
+
+    NOT_STARTED = 0
+    AIDED = 1
+    DEAD_RECKONING = 2
+    """Nothing that arrived for `FilterSettings.dead_reckoning_after_s` was taken: the IMU alone carries on."""
+    STOPPED = 3
+    """After the run was stopped."""
+
+
+JUMP_SIGMAS = 3.0
+"""A correction beyond so many of the filter's own standard deviations is flagged."""
+
+
+HISTORIES = (
+    *("lla", "v_n", "q_nb", "accel_bias", "gyro_bias"),
+    *("delay", "lever_arm_b", "sd", "misalignment_cov", "jump"),
+)
+"""Columns of an `Estimate`, one row an output, that are NaN where nothing is known."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +102,13 @@ class Estimate:
     nis : (k,) normalised innovation squared.
     fix_time : (k,) s, epoch at which the fix was (last) applied, NaN if it was not.
     fix_outcome : (k,) `FixOutcome`.
-    held_imu_samples : number of IMU samples that were not finite and replaced by the last good one.
+    fix_jump : (k,) how far the navigation moved when the fix arrived, with those that came with it: the greatest
+        change of a component of position, velocity or misalignment, over its standard deviation before; NaN
+        if the fix was not looked at, or started the navigation, or the method has no covariance.
+    status : (m,) `NavStatus`.
+    jump : (m,) greatest `fix_jump` since the row before, a restart's and a late fix's included; 0 if none.
+    held_imu_samples : rows of the record in which an axis was held or beyond its full scale.
+    imu_samples : samples by `SampleOutcome`, where there are any.
     outcome : `RunOutcome`.
     """
 
@@ -81,13 +126,22 @@ class Estimate:
     nis: Array
     fix_time: Array
     fix_outcome: NDArray[np.int64]
+    fix_jump: Array
+    status: NDArray[np.int64]
+    jump: Array
     held_imu_samples: int
     outcome: RunOutcome
+    imu_samples: dict[SampleOutcome, int] = field(default_factory=dict[SampleOutcome, int])
 
     @property
     def fused(self) -> NDArray[np.bool_]:
         """(k,) whether the fix corrected a running filter: those whose NIS counts."""
         return self.fix_outcome == FixOutcome.FUSED
+
+    @property
+    def jumped(self) -> NDArray[np.bool_]:
+        """(m,) whether the row follows a correction beyond `JUMP_SIGMAS`: the flag to a user."""
+        return self.jump > JUMP_SIGMAS
 
     def count(self, outcome: FixOutcome) -> int:
         """Number of fixes that ended so."""

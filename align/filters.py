@@ -27,7 +27,7 @@ from ..network.fixes import Fixes
 from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
 from .estimate import Estimate
-from .problem import pose, run
+from .problem import pose, run, to_the_end
 from .settings import DelayModel, FilterSettings, Transform
 
 FILTERS = {"ekf": DelayModel.IGNORED, "ekf_stamped": DelayModel.STAMPED, "l2linf": DelayModel.ESTIMATED}
@@ -56,7 +56,7 @@ def align(
 
     Parameters
     ----------
-    time : (n,) s, increasing. dtheta_b, dv_b : (n, 3) rad and m/s over the interval that ends at ``time``.
+    time : (n,) s. dtheta_b, dv_b : (n, 3) rad and m/s over the interval that ends at ``time``.
     q_nb_coarse : (4,) attitude at ``time[0]``, wrong by the initial misalignment.
     fixes : in any order; taken by arrival. The first one starts position and velocity; after
         ``restart_after_gated`` refused ones in a row the next one does so again, with the attitude of then
@@ -66,12 +66,14 @@ def align(
 
     Returns
     -------
-    Estimate at ``output_rate_hz`` and at the end. Samples and fixes that are not finite never enter the
-    state: such a sample is replaced, at a cost to the covariance, such a fix is left out; both are counted.
+    Estimate at ``output_rate_hz`` and at the end. Samples and fixes that are broken never enter the state:
+    such a sample is replaced, at a cost to the covariance (`increments`), such a fix is left out; both are
+    counted.
 
-    Raises ValueError for arrays that do not make up a record (`mechanization.checked_record`) or an
-    attitude that is no unit quaternion.
+    Raises ValueError for arrays that do not make up a record (`increments.restored`) or an attitude that is
+    no unit quaternion.
     """
     problem = pose(time, dtheta_b, dv_b, q_nb_coarse, fixes, delay, settings, imu, gravity)
     horizon = round(settings.horizon_s / problem.dt)
-    return run(problem, horizon, horizon + 1 if delay is DelayModel.STAMPED else 1, transform)[0]
+    kept = horizon + 1 if delay is DelayModel.STAMPED else 1
+    return to_the_end(problem, run(problem, horizon, kept, transform)[0])

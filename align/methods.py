@@ -16,9 +16,9 @@ from ..network.fixes import Fixes
 from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
 from .coarse import align_in_motion
-from .estimate import Array, Estimate, RunOutcome
+from .estimate import HISTORIES, Array, Estimate, NavStatus, RunOutcome
 from .filters import CUBATURE_FILTERS, FILTERS, align
-from .problem import pose, unaligned
+from .problem import pose, to_the_end, unaligned
 from .settings import DelayModel, FilterSettings, Transform
 from .smoother import smooth
 
@@ -131,7 +131,7 @@ def estimate(
     problem = pose(*record, method.delay, settings, imu, gravity)
     found = align_in_motion(problem)
     if found is None:
-        return unaligned(problem, RunOutcome.NO_COARSE)
+        return to_the_end(problem, unaligned(problem, RunOutcome.NO_COARSE))
     fine = method.run(*record[:3], found.q_nb, fixes, settings, imu, gravity)
     return _known_from(fine, found.time) if method.in_flight else fine
 
@@ -139,18 +139,8 @@ def estimate(
 def _known_from(fine: Estimate, time: float) -> Estimate:
     """The estimate with everything before a time unknown; fixes of then count as fused all the same."""
     unknown = fine.time < time
-    names = (
-        "lla",
-        "v_n",
-        "q_nb",
-        "accel_bias",
-        "gyro_bias",
-        "delay",
-        "lever_arm_b",
-        "sd",
-        "misalignment_cov",
-    )
-    columns = {name: getattr(fine, name).copy() for name in names}
+    columns = {name: getattr(fine, name).copy() for name in HISTORIES}
     for values in columns.values():
         values[unknown] = np.nan
-    return replace(fine, **columns)
+    status = np.where(unknown, NavStatus.NOT_STARTED, fine.status)
+    return replace(fine, **columns, status=status)

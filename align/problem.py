@@ -1,7 +1,8 @@
 """An alignment as the compiled loops take it: a record, fixes and settings, checked; and its run."""
 
+from dataclasses import replace
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,13 +10,13 @@ from numpy.typing import ArrayLike
 from ..network.fixes import Fixes
 from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
-from ..sins.mechanization import checked_record
 from ..sins.units import MILLISECOND
 from . import _alignment_kernel, _cubature_kernel, _memory
 from .consistency import chi_square_quantile
-from .estimate import Array, Estimate, RunOutcome
+from .estimate import HISTORIES, Array, Estimate, NavStatus, RunOutcome, SampleOutcome
+from .increments import restored
 from .measurement import N_STATES
-from .reception import Integers, Reception, finite_increments, received
+from .reception import Integers, Reception, received
 from .settings import DelayModel, FilterSettings, Transform, initial_sd, noise_density
 
 
@@ -38,11 +39,15 @@ class Problem(NamedTuple):
     vibration_variance: float
     gate: float
     patience: int
+    dead_reckoning_after: float
     samples: int
     """Intervals over which specific force and rate are averaged."""
     gravity: int
     output_epoch: Integers
     held: int
+    imu_samples: dict[SampleOutcome, int]
+    lost: Array
+    """(j,) s, further outputs that there would be, had the IMU not been lost."""
 
     @property
     def dt(self) -> float:
@@ -62,27 +67,28 @@ def pose(
     gravity: GravityModel,
 ) -> Problem:
     """Check what `align` is given; parameters and errors are those of `filters.align`."""
-    time, dtheta_b, dv_b = checked_record(time, dtheta_b, dv_b)
+    record = restored(time, dtheta_b, dv_b, imu, settings.imu_patience_s)
     q_nb_coarse = np.array(q_nb_coarse, float)
     if q_nb_coarse.shape != (4,) or not abs(np.linalg.norm(q_nb_coarse) - 1) < 1e-6:
         raise ValueError(f"q_nb_coarse must be a unit quaternion, not {q_nb_coarse}")
-    n = len(time)
-    dt = (time[-1] - time[0]) / (n - 1)
+    n = len(record.time)
+    time = record.time[: record.end]
+    dt = (time[-1] - time[0]) / (record.end - 1)
     stamped, estimated = delay is DelayModel.STAMPED, delay is DelayModel.ESTIMATED
     delay_sd_ms = settings.stamp_sd_ms * stamped + settings.delay_sd_ms * estimated
-    increments, gap_variance, held = finite_increments(np.hstack([dtheta_b, dv_b]), dt)
     outcome, reception = received(
         time, fixes.sorted_by_arrival(), stamped, settings.stamp_sd_ms * MILLISECOND
     )
     every = max(1, round(1 / (settings.output_rate_hz * dt)))
+    output_epoch = np.unique(np.append(np.arange(every, n, every), n - 1))
     initial = np.zeros(10)
     initial[6] = settings.delay_mean_ms * MILLISECOND if estimated else 0.0
     initial[7:] = settings.lever_arm_b_m
     sd = initial_sd(settings, imu, delay)
     return Problem(
         time=time,
-        increments=increments,
-        gap_variance=gap_variance,
+        increments=record.increments[: record.end],
+        gap_variance=record.gap_variance[: record.end],
         q_nb_coarse=q_nb_coarse,
         reception=reception,
         outcome=outcome,
@@ -94,10 +100,13 @@ def pose(
         vibration_variance=imu.vibration_mps**2,
         gate=_gate(settings.gate_probability),
         patience=settings.restart_after_gated,
+        dead_reckoning_after=settings.dead_reckoning_after_s,
         samples=max(1, round(settings.acceleration_window_s / dt)),
         gravity=int(gravity),
-        output_epoch=np.unique(np.append(np.arange(every, n, every), n - 1)),
-        held=held,
+        output_epoch=output_epoch[output_epoch < record.end],
+        held=record.held,
+        imu_samples=record.counts,
+        lost=record.time[output_epoch[output_epoch >= record.end]],
     )
 
 
@@ -127,6 +136,7 @@ def run(
         problem.vibration_variance,
         problem.gate,
         problem.patience,
+        problem.dead_reckoning_after,
         horizon,
         problem.samples,
         problem.gravity,
@@ -141,17 +151,29 @@ def run(
 
 def unaligned(problem: Problem, outcome: RunOutcome) -> Estimate:
     """What is known where no filter ran: nothing."""
-    return _estimate(problem, _outputs(problem), outcome)
+    outputs = _outputs(problem)
+    outputs[7][:] = NavStatus.NOT_STARTED
+    return _estimate(problem, outputs, outcome)
 
 
-def _outputs(problem: Problem) -> tuple[Array, ...]:
+def status_of(time: Array, taken: Array, after_s: float) -> Integers:
+    """`NavStatus` at some times, (m,) s, from those at which fixes arrived that were taken, (k,) s,
+    increasing."""
+    count = np.searchsorted(taken, time, side="right")
+    since = time - np.append(-np.inf, taken)[count]
+    status = np.where(since > after_s, NavStatus.DEAD_RECKONING, NavStatus.AIDED)
+    return np.where(count > 0, status, NavStatus.NOT_STARTED).astype(np.int64)
+
+
+def _outputs(problem: Problem) -> tuple[Any, ...]:
     m, k, states = len(problem.output_epoch), len(problem.outcome), len(problem.initial_sd)
-    shapes = ((m, 21), (m, states), (m, 3, 3), (k, 6), (k,), (k,))
-    return tuple(np.full(shape, np.nan) for shape in shapes)
+    shapes = ((m, 21), (m, states), (m, 3, 3), (k, 6), (k,), (k,), (k,))
+    unknown = tuple(np.full(shape, np.nan) for shape in shapes)
+    return *unknown, np.full(m, NavStatus.STOPPED, np.int64), np.full(m, np.nan)
 
 
-def _estimate(problem: Problem, outputs: tuple[Array, ...], outcome: RunOutcome) -> Estimate:
-    X, variance, misalignment_cov, innovation, nis, fix_time = outputs
+def _estimate(problem: Problem, outputs: tuple[Any, ...], outcome: RunOutcome) -> Estimate:
+    X, variance, misalignment_cov, innovation, nis, fix_time, fix_jump, status, jump = outputs
     return Estimate(
         time=problem.time[problem.output_epoch],
         **state_columns(X),
@@ -161,8 +183,32 @@ def _estimate(problem: Problem, outputs: tuple[Array, ...], outcome: RunOutcome)
         nis=nis,
         fix_time=fix_time,
         fix_outcome=problem.outcome,
+        fix_jump=fix_jump,
+        status=status,
+        jump=jump,
         held_imu_samples=problem.held,
         outcome=outcome,
+        imu_samples=problem.imu_samples,
+    )
+
+
+def to_the_end(problem: Problem, found: Estimate) -> Estimate:
+    """With rows that know nothing for the time after the IMU was lost, and that for the outcome."""
+    j = len(problem.lost)
+    if j == 0:
+        return found
+    histories = {
+        name: np.concatenate([value, np.full((j, *value.shape[1:]), np.nan)])
+        for name in HISTORIES
+        for value in (getattr(found, name),)
+    }
+    lost = found.outcome is RunOutcome.ALIGNED
+    return replace(
+        found,
+        **histories,
+        time=np.append(found.time, problem.lost),
+        status=np.append(found.status, np.full(j, NavStatus.STOPPED)),
+        outcome=RunOutcome.IMU_LOST if lost else found.outcome,
     )
 
 

@@ -1,4 +1,4 @@
-"""What reaches a filter: increments and fixes, checked, and the epochs of the record they belong to."""
+"""The fixes that reach a filter, checked, and the epochs of the record they belong to."""
 
 from typing import NamedTuple
 
@@ -32,36 +32,6 @@ class Reception(NamedTuple):
     """(k,) counted from 0."""
     sequence: Integers
     """(k,) as sent."""
-
-
-HOLD_WINDOW = 10
-"""Samples whose mean stands in for a sample that is not finite: fewer would hold on to vibration."""
-HELD = 10.0, 0.5
-"""Standard deviations of jerk, m/s^3, and angular acceleration, rad/s^2, meanwhile: a brisk manoeuvre's."""
-
-
-def finite_increments(increments: Array, dt: float) -> tuple[Array, Array, int]:
-    """Replace rows that are not finite, and say what that costs.
-
-    Parameters: ``increments`` (n, 6), ``dt`` s. Returns the increments, with the mean of the
-    rows before each gap in its place (zero at the very start); the variances (n, 2) of velocity,
-    (m/s)^2, and misalignment, rad^2, that the replacements add; and the number of rows replaced.
-
-    A rate that is held for a time t is wrong by what the vehicle does in it: the angle by ``a t^2 / 2``
-    for an angular acceleration ``a``, and the velocity likewise by the jerk.
-    """
-    variance = np.zeros((len(increments), 2))
-    bad = np.flatnonzero(~np.isfinite(increments).all(axis=1))
-    if len(bad) == 0:
-        return increments, variance, 0
-    increments = increments.copy()
-    for gap in np.split(bad, np.flatnonzero(np.diff(bad) > 1) + 1):
-        first, end = gap[0], gap[-1] + 1
-        before = increments[max(first - HOLD_WINDOW, 0) : first]
-        increments[first:end] = before.mean(axis=0) if first else 0.0
-        held_s = dt * np.arange(len(gap) + 1)[:, None]
-        variance[first:end] = np.diff((0.5 * np.array(HELD) * held_s**2) ** 2, axis=0)
-    return increments, variance, len(bad)
 
 
 def received(time: Array, fixes: Fixes, by_stamp: bool, stamp_sd: float) -> tuple[Integers, Reception]:

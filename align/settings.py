@@ -65,6 +65,10 @@ class FilterSettings(Settings):
     """Probability with which a good fix passes the innovation gate."""
     restart_after_gated: int = Field(default=20, ge=2, le=100_000)
     """So many fixes refused in a row mean that the filter is wrong and not the fixes: it starts again."""
+    dead_reckoning_after_s: float = Field(default=3.0, ge=0.1, le=60)
+    """Time without a fix that was taken, after which the status says so."""
+    imu_patience_s: float = Field(default=2.0, ge=0.01, le=60)
+    """Time over which samples of the IMU may be held without a break: a run in which it takes longer ends."""
     horizon_s: float = Field(default=2.0, ge=0.1, le=60)
     """How far back a stamped fix may reach."""
     acceleration_window_s: float = Field(default=0.05, gt=0, le=2)

@@ -25,7 +25,7 @@ from ..sins.error_model import MISALIGN
 from ..sins.imu import ImuErrors
 from . import _memory, _smoothing_kernel
 from .estimate import Array, Estimate, FixOutcome, RunOutcome
-from .problem import Problem, pose, run, state_columns
+from .problem import Problem, pose, run, state_columns, to_the_end
 from .reception import Integers, Reception
 from .settings import DelayModel, FilterSettings
 
@@ -53,6 +53,11 @@ def smooth(
     ``relinearized``: whether to go twice, which a record that begins with the true attitude has no need of.
     """
     problem = pose(time, dtheta_b, dv_b, q_nb_coarse, fixes, DelayModel.STAMPED, settings, imu, gravity)
+    return to_the_end(problem, _both_ways(problem, relinearized))
+
+
+def _both_ways(problem: Problem, relinearized: bool) -> Estimate:
+    """Forward and back, twice if ``relinearized``."""
     received = problem.outcome.copy()
     filtered, kept = _filtered(problem)
     if filtered.outcome is not RunOutcome.ALIGNED:

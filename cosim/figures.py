@@ -4,8 +4,7 @@ Filters keep the colours of `palette`; the bounds are black, dashed with stamps 
 dash-dotted smoothed. A band spans the 5th to the 95th percentile of the runs.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping
 
 import matplotlib as mpl
 import numpy as np
@@ -16,49 +15,16 @@ from scipy.stats import chi2
 from ..aircraft.flight import Flight
 from ..align.bound import Knowledge
 from ..align.consistency import mean_band
-from ..align.estimate import Array
+from ..align.estimate import Array, NavStatus
 from ..sins import attitude
 from ..sins.units import DEG, MILLISECOND
+from .clock import Clock, Outages, clock_of
 from .drawing import STYLE, WIDTH_IN, legend, log_scale, panels, svg
-from .palette import ALIGNMENT, LIGHT_GREY, filter_color
+from .palette import ALIGNMENT, filter_color
 from .scenery import local_ned, told
 from .score import COLUMNS, FilterScore
 
 Scores = Mapping[str, FilterScore]
-Outages = Sequence[tuple[float, float]]
-
-
-class Clock(NamedTuple):
-    """The axis of time: what it counts from, and the phases of the flight that begin on it."""
-
-    label: str
-    offset: float
-    """s, to be added to the time since the start of the alignment."""
-    phases: tuple[tuple[float, str], ...]
-    """When they begin, s on this axis, and their names."""
-    outages: tuple[tuple[float, float], ...] = ()
-    """Begin and end, s on this axis."""
-
-    def shade(self, ax: Axes) -> None:
-        """Outages of the fixes."""
-        for number, (begin, end) in enumerate(self.outages):
-            label = "no fixes" if number == 0 else None
-            ax.axvspan(begin, end, color=LIGHT_GREY, alpha=0.35, linewidth=0, label=label)
-
-
-def clock_of(flight: Flight, window: Flight, outages: Outages = ()) -> Clock:
-    """Since lift-off where the alignment begins before level flight, else since its own start."""
-    start = float(window.time[0])
-    from_lift_off = start < flight.phase("level").start_s
-    zero = flight.phase("takeoff").end_s if from_lift_off else start
-    least = 0.12 * float(window.time[-1] - start)  # or there is no room for its name
-    begun = [p for p in flight.phases if start < p.start_s < window.time[-1] - least]
-    return Clock(
-        "time since lift-off, s" if from_lift_off else "time from the start of the alignment, s",
-        start - zero,
-        tuple((phase.start_s - zero, told(phase.name)) for phase in begun),
-        tuple((begin - zero, end - zero) for begin, end in outages),
-    )
 
 
 _LABELS = {
@@ -161,8 +127,26 @@ def _errors(
             _rms_with_spread(ax, name, score.time + clock.offset, distance, _widths(scores)[name])
         ax.set(ylabel="position error, m", xlabel=clock.label)
         log_scale(ax)
+        _mark_dead_reckoning(ax, clock, scores)
     legend(figure, axes[0][0])
     return figure
+
+
+def _mark_dead_reckoning(ax: Axes, clock: Clock, scores: Scores) -> None:
+    """A strip along the bottom for each filter, where half of its runs navigate without fixes."""
+    for row, (name, score) in enumerate(scores.items()):
+        alone = np.median(score.status == NavStatus.DEAD_RECKONING, axis=0) >= 0.5
+        if alone.any():
+            low = 0.012 * (2 * row + 1)
+            ax.fill_between(
+                score.time + clock.offset,
+                low,
+                low + 0.016,
+                where=alone,
+                transform=ax.get_xaxis_transform(),
+                color=filter_color(name),
+                linewidth=0,
+            )
 
 
 def _rms_with_spread(ax: Axes, name: str, time: Array, magnitude: Array, width: float) -> None:

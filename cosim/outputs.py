@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from ..aircraft.flight import Flight
 from ..align.bound import Knowledge
 from ..align.consistency import mean_band
-from ..align.estimate import Array, Estimate, FixOutcome
+from ..align.estimate import Array, Estimate, FixOutcome, NavStatus
 from ..sins import attitude
 from ..sins.units import DEG, DEG_PER_HOUR, MICRO_G, MILLISECOND
 from .files import whole_file
@@ -218,9 +218,12 @@ class EstimatesWriter:
 
 
 def navigation_columns(estimate: Estimate) -> dict[str, Any]:
-    """Time, position, velocity and attitude of `estimates.parquet`, (m,) each."""
+    """Time, status, position, velocity and attitude of `estimates.parquet`, (m,) each."""
+    words = np.array([status.name.lower() for status in NavStatus])
     columns = {
         "time_s": estimate.time,
+        "status": words[estimate.status],
+        "jump_sigmas": estimate.jump,
         "lat_deg": estimate.lla[:, 0] / DEG,
         "lon_deg": estimate.lla[:, 1] / DEG,
         "height_m": estimate.lla[:, 2],
@@ -241,7 +244,7 @@ def bias_columns(estimate: Estimate) -> dict[str, Any]:
 def estimates_table(columns: dict[str, Any]) -> pa.Table:  # pyright: ignore[reportUnknownParameterType]
     """The columns as a table, NaN as null."""
     # Position and time need all digits; the rest is good to seven.
-    exact = ("run", "filter", "time_s", "lat_deg", "lon_deg", "height_m")
+    exact = ("run", "filter", "status", "time_s", "lat_deg", "lon_deg", "height_m")
     arrays = {
         key: pa.array(value if key in exact else value.astype(np.float32), from_pandas=True)
         for key, value in columns.items()

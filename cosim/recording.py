@@ -16,22 +16,24 @@ Everything stands on one timeline, ``sim_time``, s from brake release. Entities:
 ``imu/<channel>/<filter>``, ``delay/<filter>``
     Estimated biases and mean delay with 3 sigma; what was drawn under ``drawn``.
 ``nis/<filter>``, ``outcome/<filter>``, ``log/<filter>``
-    For each fix, at its arrival.
+    For each fix, at its arrival. ``outcome/<filter>/status`` : what the navigation rests on; its jumps are in
+    the log.
 ``network/...``, ``network_fixes/...``, ``network_log``
     Where the run had a network: its nodes, links and errors about the fleet's centre; the own ship's fixes,
     their delays, and why some were not made or did not arrive.
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
 
 from ..aircraft.flight import Flight
 from ..align.consistency import mean_band
-from ..align.estimate import Estimate, FixOutcome
+from ..align.estimate import Estimate, FixOutcome, NavStatus
 from ..align.measurement import DELAY
 from ..network.fixes import Fixes
 from ..sins import attitude, earth
@@ -40,7 +42,7 @@ from ..sins.units import DEG, DEG_PER_HOUR, MICRO_G, MILLISECOND
 from . import layout
 from ._rerun import Columns
 from .network_scenery import draw_network
-from .palette import BOUND, OUTCOME_COLORS, TRUTH, filter_color, rgb
+from .palette import BOUND, OUTCOME_COLORS, STATUS_COLORS, TRUTH, filter_color, rgb
 from .run import Run
 from .scenery import draw_fixes, draw_flight, draw_track, told
 from .score import COLUMNS, errors_against, standard_deviations
@@ -210,14 +212,10 @@ def plot_nis(columns: Columns, estimates: dict[str, Estimate], fixes: Fixes) -> 
 
 
 def tell_outcomes(columns: Columns, name: str, estimate: Estimate, fixes: Fixes) -> None:
-    """A lane of outcomes, and a line of text for each fix that was not fused."""
-    words = {outcome: told(outcome.name) for outcome in FixOutcome}
-    lane = rr.StateConfiguration(
-        values=list(words.values()),
-        labels=list(words.values()),
-        colors=[rgb(OUTCOME_COLORS[outcome]) for outcome in words],
-    )
-    columns.static(f"outcome/{name}", lane)
+    """Lanes of outcomes and of the status, and a line of text for each fix that was not fused and for each
+    jump."""
+    words = _lane(columns, f"outcome/{name}", OUTCOME_COLORS)
+    _tell_status(columns, name, estimate)
     outcomes = [FixOutcome(outcome) for outcome in estimate.fix_outcome]
     states = [words[outcome] for outcome in outcomes]
     columns.send(f"outcome/{name}", fixes.t_arrival, rr.StateChange.columns(state=states))
@@ -229,3 +227,25 @@ def tell_outcomes(columns: Columns, name: str, estimate: Estimate, fixes: Fixes)
     ]
     levels = ["INFO" if outcomes[i] in _EXPECTED else "WARN" for i in rows]
     columns.send(f"log/{name}", fixes.t_arrival[rows], rr.TextLog.columns(text=text, level=levels))
+
+
+def _lane(columns: Columns, path: str, colors: Mapping[Any, str]) -> dict[Any, str]:
+    """Begin a lane of states; returns what each is called in it."""
+    words = {state: told(state.name) for state in colors}
+    labels = list(words.values())
+    looks = [rgb(color) for color in colors.values()]
+    columns.static(path, rr.StateConfiguration(values=labels, labels=labels, colors=looks))
+    return words
+
+
+def _tell_status(columns: Columns, name: str, estimate: Estimate) -> None:
+    path = f"outcome/{name}/status"
+    words = _lane(columns, path, STATUS_COLORS)
+    changes = np.flatnonzero(np.diff(estimate.status, prepend=-1))
+    states = [words[NavStatus(status)] for status in estimate.status[changes]]
+    columns.send(path, estimate.time[changes], rr.StateChange.columns(state=states))
+    jumps = np.flatnonzero(estimate.jumped)
+    text = [f"{name}: corrected by {estimate.jump[i]:.1f} standard deviations" for i in jumps]
+    columns.send(
+        f"log/{name}", estimate.time[jumps], rr.TextLog.columns(text=text, level=["WARN"] * len(text))
+    )

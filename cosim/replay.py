@@ -21,7 +21,7 @@ from .replay_time import TimeBase
 
 COMPONENTS = ("north_m", "east_m", "down_m", "v_north_mps", "v_east_mps", "v_down_mps")
 """Of an innovation."""
-_PER_FIX = ("innovation", "nis", "fix_time", "fix_outcome")
+_PER_FIX = ("innovation", "nis", "fix_time", "fix_outcome", "fix_jump")
 _MOST_ROWS, _MOST_HZ = 200_000, 1000.0
 """Of the history from which standard deviations of innovations are taken."""
 

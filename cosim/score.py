@@ -69,6 +69,7 @@ class FilterScore:
     nis : (runs,) mean over the fused fixes of a run, six degrees of freedom.
     fused : (runs,) number of fused fixes.
     delay : (runs, m) estimated mean delay, s.
+    status : (runs, m) `NavStatus`.
     fix_outcomes : how many fixes ended in which way, over all runs.
     failures : runs that failed, by id, with the reason: ``no_fix``, ``not_finite``, ``no_coarse`` (see
         `RunOutcome`); ``locked_out``, more than half of the fixes refused by the gate; ``diverged``, at the
@@ -84,6 +85,7 @@ class FilterScore:
     nis: Array
     fused: NDArray[np.int64]
     delay: Array
+    status: NDArray[np.int8]
     fix_outcomes: dict[FixOutcome, int]
     failures: dict[int, str]
 
@@ -166,13 +168,13 @@ class Scorer:
                     np.array(nis),
                     np.array(np.count_nonzero(fused)),
                     estimate.delay,
+                    estimate.status.astype(np.int8),
                 )
             )
             outcomes = self._outcomes.setdefault(name, dict.fromkeys(FixOutcome, 0))
             for outcome in FixOutcome:
                 outcomes[outcome] += estimate.count(outcome)
-            reason = self._failure(estimate, run, phi, float(misalignment_nees[-1]))
-            if reason:
+            if reason := self._failure(estimate, run, phi, float(misalignment_nees[-1])):
                 self._failures.setdefault(name, {})[run.run_id] = reason
 
     def _failure(self, estimate: Estimate, run: Run, phi: Array, final_nees: float) -> str | None:
@@ -192,7 +194,7 @@ class Scorer:
         return {name: self._score(name) for name in self.filters}
 
     def _score(self, name: str) -> FilterScore:
-        errors, position_errors, position_nees, misalignment_nees, nis, fused, delay = map(
+        errors, position_errors, position_nees, misalignment_nees, nis, fused, delay, status = map(
             np.stack, zip(*self._rows[name], strict=True)
         )
         return FilterScore(
@@ -205,6 +207,7 @@ class Scorer:
             nis=nis,
             fused=fused,
             delay=delay,
+            status=status,
             fix_outcomes=self._outcomes[name],
             failures=self._failures.get(name, {}),
         )

@@ -5,7 +5,7 @@ import pytest
 from fleetalign.align.bridging import lssvm
 from fleetalign.align.bridging.outage import bridged
 from fleetalign.align.bridging.regression import LEAST_ROWS, TrainingError, fit
-from fleetalign.align.estimate import Estimate, RunOutcome
+from fleetalign.align.estimate import Estimate, NavStatus, RunOutcome
 from fleetalign.sins import earth
 from fleetalign.sins.earth import GravityModel
 from fleetalign.sins.mechanization import NavigationState, mechanize
@@ -123,6 +123,9 @@ def record():
         nis=np.empty(0),
         fix_time=np.empty(0),
         fix_outcome=np.empty(0, np.int64),
+        fix_jump=np.empty(0),
+        status=np.full(m, NavStatus.AIDED),
+        jump=np.zeros(m),
         held_imu_samples=0,
         outcome=RunOutcome.ALIGNED,
     )

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fleetalign.aircraft.flight import Flight, Phase
-from fleetalign.align.estimate import Estimate, FixOutcome, RunOutcome
+from fleetalign.align.estimate import Estimate, FixOutcome, NavStatus, RunOutcome
 from fleetalign.cosim.palette import filter_color
 from fleetalign.cosim.recording import write_recording
 from fleetalign.cosim.run import Run
@@ -62,6 +62,9 @@ def an_estimate(window: Flight, fixes: Fixes, rng: np.random.Generator, delay_s:
         nis=nis,
         fix_time=fixes.t_arrival,
         fix_outcome=outcome.astype(np.int64),
+        fix_jump=np.full(k, 0.5),
+        status=np.where(np.arange(m) < 2, NavStatus.NOT_STARTED, NavStatus.AIDED),
+        jump=np.full(m, 0.5),
         held_imu_samples=0,
         outcome=RunOutcome.ALIGNED,
     )

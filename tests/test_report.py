@@ -10,7 +10,7 @@ import pytest
 from fleetalign.aircraft.flight import Flight, Phase
 from fleetalign.align.bound import Knowledge
 from fleetalign.align.consistency import mean_band
-from fleetalign.align.estimate import FixOutcome
+from fleetalign.align.estimate import FixOutcome, NavStatus
 from fleetalign.cosim.outputs import manifest, summarize
 from fleetalign.cosim.palette import filter_color
 from fleetalign.cosim.report import to_toml, write_report
@@ -51,6 +51,7 @@ def a_score(
         nis=scale**2 * rng.chisquare(6 * 400, runs) / 400,
         fused=np.full(runs, 400),
         delay=np.full(shape, delay_s),
+        status=np.full(shape, NavStatus.AIDED),
         fix_outcomes=dict.fromkeys(FixOutcome, 0) | {FixOutcome.FUSED: 400 * runs, FixOutcome.GATED: 7},
         failures={},
     )

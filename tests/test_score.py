@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fleetalign.align.estimate import FixOutcome
+from fleetalign.align.estimate import FixOutcome, NavStatus
 from fleetalign.cosim.score import (
     LEAST_RUNS,
     FilterScore,
@@ -29,6 +29,7 @@ def a_score(errors, **more) -> FilterScore:
         position_nees=np.zeros((runs, m)),
         **{"nees": np.zeros((runs, m)), "nis": np.zeros(runs), "fused": np.ones(runs, np.int64), **more},
         delay=np.zeros((runs, m)),
+        status=np.full((runs, m), NavStatus.AIDED),
         fix_outcomes=dict.fromkeys(FixOutcome, 0),
         failures={},
     )

@@ -21,9 +21,11 @@ from numpy.typing import ArrayLike
 from ...sins import attitude, earth
 from ...sins.earth import GravityModel
 from ...sins.error_model import POSITION, VELOCITY
+from ...sins.imu import ImuErrors
 from ...sins.mechanization import NavigationState, mechanize
 from ..estimate import Array, Estimate
-from ..reception import Integers, finite_increments
+from ..increments import restored
+from ..reception import Integers
 from .regression import LEAST_ROWS, Bridging, fit
 
 MOST_POINTS = 101
@@ -40,24 +42,24 @@ def bridged(
     gravity: GravityModel,
     outages: Sequence[tuple[float, float]],
     bridging: Bridging,
+    imu: ImuErrors | None = None,
 ) -> Estimate:
     """The estimate of a filter with position, velocity and their deviations of the bridge in outages.
 
     ``time``, ``dtheta_b``, ``dv_b`` : the record, as `filters.align` takes it. ``outages`` : begin and end,
-    s, of times without valid fixes, in order. Attitude and all else stay the filter's; so does everything
-    where ``bridging`` is ``coast``, or where the filter has put out fewer than `LEAST_OUTPUTS` before.
+    s, of times without valid fixes, in order. ``imu`` : as `increments.restored` takes it. Attitude and all
+    else stay the filter's; so does everything where ``bridging`` is ``coast``, or where the filter has put
+    out fewer than `LEAST_OUTPUTS` before.
     """
     if bridging == "coast" or not outages:
         return found
-    time = np.asarray(time, float)
-    increments = np.hstack([np.asarray(dtheta_b, float), np.asarray(dv_b, float)])
-    increments, _, _ = finite_increments(increments, float(time[-1] - time[0]) / (len(time) - 1))
-    lla, v_n, sd = found.lla.copy(), found.v_n.copy(), found.sd.copy()
+    time, increments, *_ = restored(time, dtheta_b, dv_b, imu, np.inf)
+    lla, v_n, sd, jump = found.lla.copy(), found.v_n.copy(), found.sd.copy(), found.jump.copy()
     since = -np.inf
     for begin, end in outages:
         known = np.isfinite(found.lla).all(axis=1) & (found.time > since) & (found.time <= begin)
         before = np.flatnonzero(known)
-        inside = np.flatnonzero((found.time > begin) & (found.time < end))
+        inside = np.flatnonzero((found.time > begin) & (found.time < end) & np.isfinite(found.lla[:, 0]))
         since = end
         if len(inside) == 0 or len(before) < LEAST_OUTPUTS:
             continue
@@ -74,7 +76,12 @@ def bridged(
         sd[np.ix_(inside, _columns(VELOCITY))] = np.sqrt(variance)
         carried = last[POSITION] ** 2 + (ahead * last[VELOCITY]) ** 2
         sd[np.ix_(inside, _columns(POSITION))] = np.sqrt(carried + (slack * ahead**2 / 2) ** 2)
-    return replace(found, lla=lla, v_n=v_n, sd=sd)
+        # Back from the bridge to the filter.
+        last, after = inside[-1], inside[-1] + 1
+        if after < len(jump):
+            moved = np.append(earth.displacement_n(found.lla[last], lla[last]), found.v_n[last] - v_n[last])
+            jump[after] = max(jump[after], np.max(np.abs(moved) / sd[last, :6]))
+    return replace(found, lla=lla, v_n=v_n, sd=sd, jump=jump)
 
 
 def _columns(part: slice) -> Integers:

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 from ...network.fixes import Fixes
 from ...sins.earth import GravityModel
 from ...sins.imu import ImuErrors
-from ..estimate import Estimate, FixOutcome, RunOutcome
+from ..estimate import Estimate, FixOutcome, NavStatus, RunOutcome
 from ..filters import align
-from ..problem import pose, unaligned
+from ..problem import pose, status_of, to_the_end, unaligned
 from ..reception import Integers, Reception
 from ..settings import DelayModel, FilterSettings
 from . import _observer_kernel
@@ -117,7 +117,7 @@ def align_lmi(
     started = start < n
     nothing = unaligned(problem, RunOutcome.NO_FIX)
     if not started:
-        return nothing
+        return to_the_end(problem, nothing)
     outcome[taken[0]] = FixOutcome.INITIALIZED
     known = np.isfinite(X[:, 0])
     fix_time = nothing.fix_time.copy()
@@ -125,7 +125,9 @@ def align_lmi(
     every = nothing.innovation.copy()
     every[taken] = innovation
     none = np.where(known, 0.0, np.nan)
-    return replace(
+    status = status_of(nothing.time, problem.time[epoch], settings.dead_reckoning_after_s)
+    stopped = ~known & (status != NavStatus.NOT_STARTED)
+    found = replace(
         nothing,
         lla=X[:, 0:3],
         v_n=X[:, 3:6],
@@ -137,8 +139,10 @@ def align_lmi(
         innovation=every,
         fix_time=fix_time,
         fix_outcome=outcome,
+        status=np.where(stopped, NavStatus.STOPPED, status),
         outcome=RunOutcome.ALIGNED if finite else RunOutcome.NOT_FINITE,
     )
+    return to_the_end(problem, found)
 
 
 def _in_order(outcome: Integers, reception: Reception, n: int) -> Integers:
