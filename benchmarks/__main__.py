@@ -9,11 +9,11 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from . import coarse, filters, flight, localization, mechanization, network, peers, runs
+from . import campaign, coarse, filters, flight, localization, mechanization, network, peers, runs
 from .harness import FULL, QUICK, Harness, Row, load, markdown
 from .material import prepare
 
-SUBJECTS = (mechanization, filters, flight, runs, coarse, network, localization, peers)
+SUBJECTS = (mechanization, filters, flight, runs, campaign, coarse, network, localization, peers)
 
 
 def main(arguments: list[str]) -> int:

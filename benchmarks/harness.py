@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rich.progress import Progress
 
-PACKAGES = ("fleetalign", "numpy", "scipy", "numba", "jsbsim", "gtsam", "filterpy", "sidereon")
+PACKAGES = ("fleetalign", "numpy", "scipy", "numba", "jsbsim", "gtsam", "filterpy", "sidereon", "distributed")
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,10 @@ class Size:
     """Alignment runs."""
     scaling_runs: int = 100
     """Alignment runs of each repetition that compares numbers of cores."""
+    campaign_runs: int = 10_000
+    """Alignment runs of a campaign."""
+    dask_runs: int = 1_000
+    """Alignment runs of the campaigns that compare Dask with a pool."""
     coarse_runs: int = 200
     """Alignment runs from any heading."""
     nodes: int = 1_000_000
@@ -45,6 +49,8 @@ QUICK = Size(
     oracle_samples=200,
     runs=8,
     scaling_runs=4,
+    campaign_runs=8,
+    dask_runs=4,
     coarse_runs=2,
     nodes=5_000,
     network_s=5.0,

@@ -163,7 +163,7 @@ def test_poison_runs_are_failed_rows_and_the_rest_finishes(file, tmp_path, monke
         assert reason == reasons.get((point, run))
 
 
-def test_a_campaign_killed_again_and_again_is_the_uninterrupted_one(file, tmp_path):
+def test_a_command_that_is_killed_goes_on_where_it_was(file, tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     campaign = load_campaign(file)
     run_campaign(campaign, Ledger(whole, campaign, resume=False), locally)
@@ -194,6 +194,60 @@ def test_a_campaign_killed_again_and_again_is_the_uninterrupted_one(file, tmp_pa
     assert contents(killed) == contents(whole)
     rows = [row for _, table in read_points(killed) for row in table.to_pylist()]
     assert len(rows) == len({(r["point"], r["run"], r["filter"]) for r in rows}) == 2 * 5 * 2
+
+
+TEN_KILLS = """
+import os, random, signal, sys, time
+from pathlib import Path
+from fleetalign.cosim.campaign.engine import run_campaign
+from fleetalign.cosim.campaign.ledger import Ledger
+from fleetalign.cosim.campaign.plan import load_campaign
+from fleetalign.cosim.campaign.shard import done_shard
+
+file, whole, killed = map(Path, sys.argv[1:])
+campaign = load_campaign(file)
+
+
+def one_by_one(campaign, shards):
+    for shard in shards:
+        yield shard, done_shard(campaign.scenario(shard.point), shard)
+
+
+def go(folder):
+    run_campaign(campaign, Ledger(folder, campaign, resume=True), one_by_one)
+
+
+def kept():
+    return len(list(killed.glob("shards/*.parquet")))
+
+
+go(whole)
+moments = random.Random(7)
+for _ in range(10):
+    until = kept() + moments.randint(0, 5)
+    child = os.fork()
+    if child == 0:
+        go(killed)
+        os._exit(0)
+    while kept() < until and os.waitpid(child, os.WNOHANG) == (0, 0):
+        time.sleep(0.001)
+    time.sleep(moments.uniform(0, 0.05))  # a shard takes as long
+    os.kill(child, signal.SIGKILL)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), kept())
+go(killed)
+"""
+
+
+def test_ten_kills_at_random_moments_change_no_bit(file, tmp_path):
+    file.write_text(CAMPAIGN.replace("runs = 5", "runs = 60"))
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    line = [sys.executable, "-c", TEN_KILLS, str(file), str(whole), str(killed)]
+    told = subprocess.run(line, capture_output=True, text=True, check=True).stdout.split()
+    assert told[::2] == [str(-signal.SIGKILL)] * 10
+    assert 10 < int(told[-1]) < 60  # they met it at work
+    assert contents(killed) == contents(whole)
+    rows = [row for _, table in read_points(killed) for row in table.to_pylist()]
+    assert len(rows) == len({(r["point"], r["run"], r["filter"]) for r in rows}) == 2 * 60 * 2
 
 
 def test_a_full_disk_ends_in_one_line_and_keeps_what_is_done(command, file, tmp_path, monkeypatch, undrawn):
