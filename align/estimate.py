@@ -55,7 +55,7 @@ class SampleOutcome(IntEnum):
     STUCK = 2
     """An axis repeated its last value: held."""
     SATURATED = 3
-    """An axis was at its full scale: taken, but the truth lies beyond."""
+    """An axis was at its full scale: held there, or where it was before if that is beyond."""
     MISSING = 4
     """It never came: held."""
     OUT_OF_ORDER = 5
