@@ -12,6 +12,7 @@ from functools import partial
 from itertools import islice
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..aircraft.flight import Flight
 from ..align.bridging.outage import bridged
@@ -44,6 +45,8 @@ class Run:
     q_nb_coarse: Array
     estimates: dict[str, Estimate]
     network: NetworkRecord | None = None
+    outlier: NDArray[np.bool_] | None = None
+    """(k,) which of the fixes were made false (`packet_faults`): for the scores."""
 
 
 def generator(seed: int, run_id: int, source: str) -> np.random.Generator:
@@ -82,6 +85,7 @@ def simulate(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> Run:
     gravity = scenario.alignment.gravity_model(window.gravity)
     outages = outage_times(scenario, window)
     estimates: dict[str, Estimate] = {}
+    bridging = scenario.alignment.bridging
     for name in scenario.alignment.filters:
         found = estimate(
             name,
@@ -95,11 +99,11 @@ def simulate(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> Run:
             gravity,
         )
         if METHODS[name].in_flight:  # what knows the whole record has nothing to bridge
-            found = bridged(
-                found, imu.time, imu.dtheta_b, imu.dv_b, gravity, outages, scenario.alignment.bridging
-            )
+            found = bridged(found, imu.time, imu.dtheta_b, imu.dv_b, gravity, outages, bridging, scenario.imu)
         estimates[name] = found
-    return Run(run_id, imu, fixes, q_nb_coarse, estimates, network)
+    rng = generator(seed, run_id, "packet faults")
+    outlier = packet_faults.outliers(fixes, scenario.faults.packets, rng)
+    return Run(run_id, imu, fixes, q_nb_coarse, estimates, network, outlier)
 
 
 def fixes_of(
