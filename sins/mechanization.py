@@ -82,17 +82,20 @@ def step(
     return NavigationState(lla, v_n, q_nb / np.linalg.norm(q_nb))
 
 
-def checked_record(time: ArrayLike, dtheta_b: ArrayLike, dv_b: ArrayLike) -> tuple[Array, Array, Array]:
-    """The three as contiguous float64 arrays, (n,), (n, 3), (n, 3).
-
-    Raises ValueError for other shapes, fewer than two rows, and a time that does not increase.
-    """
+def checked_shapes(time: ArrayLike, dtheta_b: ArrayLike, dv_b: ArrayLike) -> tuple[Array, Array, Array]:
+    """The three as contiguous float64 arrays, (n,), (n, 3), (n, 3). Raises ValueError for other shapes."""
     time, dtheta_b, dv_b = (np.ascontiguousarray(a, float) for a in (time, dtheta_b, dv_b))
     n = len(time)
     if time.shape != (n,) or dtheta_b.shape != (n, 3) or dv_b.shape != (n, 3):
         shapes = f"{time.shape}, {dtheta_b.shape} and {dv_b.shape}"
         raise ValueError(f"time, dtheta_b and dv_b must be (n,), (n, 3) and (n, 3), not {shapes}")
-    if n < 2 or not (np.diff(time) > 0).all():
+    return time, dtheta_b, dv_b
+
+
+def checked_record(time: ArrayLike, dtheta_b: ArrayLike, dv_b: ArrayLike) -> tuple[Array, Array, Array]:
+    """As `checked_shapes`; ValueError for fewer than two rows, and a time that does not increase."""
+    time, dtheta_b, dv_b = checked_shapes(time, dtheta_b, dv_b)
+    if len(time) < 2 or not (np.diff(time) > 0).all():
         raise ValueError("time must increase, over two rows or more")
     return time, dtheta_b, dv_b
 
