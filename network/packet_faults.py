@@ -23,8 +23,8 @@ class PacketFaults(Settings):
     outlier_position_m: float = Field(default=100.0, ge=0, le=1e6)
     outlier_velocity_mps: float = Field(default=10.0, ge=0, le=1e4)
     detour_share: float = Field(default=0.0, ge=0, le=1)
-    """Share of packets that take a detour, which adds a delay uniform from 0 to `detour_max_s`: they arrive out
-    of order."""
+    """Share of packets that take a detour, which adds a delay uniform from 0 to `detour_max_s`: they are
+    overtaken."""
     detour_max_s: float = Field(default=2.0, ge=0, le=60)
     copies: int = Field(default=1, ge=1, le=20)
     """So many of each packet arrive, those after the first each with a further delay uniform up to
@@ -35,7 +35,7 @@ class PacketFaults(Settings):
 def faulty(fixes: Fixes, faults: PacketFaults, rng: Generator) -> Fixes:
     """The packets as they arrive, in order of arrival.
 
-    ``rng`` is spawned once for each effect, which is drawn for every packet sent, whether or not it is at work.
+    ``rng`` is spawned once for each effect, which is drawn for every packet whether or not it is at work.
     """
     if faults == PacketFaults() or not len(fixes):
         return fixes
@@ -55,8 +55,8 @@ def faulty(fixes: Fixes, faults: PacketFaults, rng: Generator) -> Fixes:
 
 
 def outliers(fixes: Fixes, faults: PacketFaults, rng: Generator) -> NDArray[np.bool_]:
-    """Which of the packets that `faulty` returned it had made false, (k,), given the ``rng`` that it was given:
-    for the scores, no receiver knows it."""
+    """Which of the packets that `faulty` returned it had made false, (k,), given an ``rng`` as it had: for the
+    scores, no receiver knows it."""
     if not faults.outlier_share or not len(fixes):
         return np.zeros(len(fixes), bool)
     packet = _packets(fixes)
