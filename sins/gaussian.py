@@ -37,8 +37,9 @@ def kalman_update(x: Array, P: Array, innovation: Array, H: Array, R: Array) -> 
 
     H (..., m, n), R (..., m, m).
     """
-    S = H @ P @ transposed(H) + R
-    gain = transposed(np.linalg.solve(S, H @ P))
+    HP = H @ P
+    S = HP @ transposed(H) + R
+    gain = transposed(np.linalg.solve(S, HP))
     return Updated(x + apply(gain, innovation), joseph(P, gain, H, R), gain, S)
 
 

@@ -13,11 +13,7 @@ from fleetalign.network.localization.dv_distance import path_lateration
 from fleetalign.network.localization.fading_ekf import PUBLISHED, FadingEkf, initial, step, stopped
 from fleetalign.network.localization.plane import in_plane
 from fleetalign.network.localization.plane_chain import certain, locate_in_plane
-from fleetalign.network.localization.plane_network import (
-    check_plane_network,
-    own_blocks,
-    plane_network,
-)
+from fleetalign.network.localization.plane_network import check_plane_network, plane_network
 from fleetalign.network.localization.problem import LocalizationError
 from fleetalign.network.localization.spherical import neighbors
 from scipy.spatial import KDTree
@@ -89,10 +85,14 @@ def test_normal_equations_and_their_inverse_by_dense_matrices():
     d, H = net.predicted(x)
     w = np.random.default_rng(0).uniform(0.5, 2.0, len(d))
     A = H.toarray().T @ np.diag(w) @ H.toarray() + 0.3 * np.eye(net.unknowns)
-    np.testing.assert_allclose(net.normal(H, w, 0.3).toarray(), A, atol=1e-12)
+    entries = net.entries(H, w, 0.3)
+    np.testing.assert_allclose(net.normal(entries).toarray(), A, atol=1e-12)
+    np.testing.assert_allclose(net.diagonal(entries), np.diag(A), atol=1e-12)
     k = net.unknowns // 2
     blocks = np.linalg.inv(A).reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :]
-    np.testing.assert_allclose(own_blocks(net.normal(H, w, 0.3), net.unknowns), blocks, atol=1e-10)
+    factor = net.factorized(entries)
+    np.testing.assert_allclose(factor.own_blocks(), blocks, atol=1e-10)
+    np.testing.assert_allclose(A @ factor.solve(d @ H), d @ H, atol=1e-9)
     bumped = net.moved(x, 1e-6 * np.eye(net.unknowns)[7])
     np.testing.assert_allclose((net.predicted(bumped)[0] - d) / 1e-6, H.toarray()[:, 7], atol=1e-5)
 

@@ -9,16 +9,15 @@ H of the printed example (five nodes, two of them unknown) has the derivatives o
 the columns of node 3; `fig_2_derivatives` gives both.
 """
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from scipy.sparse import csc_matrix, csr_matrix, diags_array
 
 from ._fading import LOST_M
 from .distributed_ekf import RefinedPlane
 from .fading_ekf import FadingEkf, initial, sage_share, step, stopped
 from .plane import distances
-from .plane_network import PlaneNetwork, factorized, own_blocks, plane_network
+from .plane_network import PlaneNetwork, plane_network
 from .problem import Array, RangeProblem
 
 _PROBES = 8
@@ -54,35 +53,32 @@ def _by_information(net: PlaneNetwork, settings: FadingEkf, covariance: bool) ->
     """
     x, N, m = net.x, net.unknowns, len(net.links)
     Y_0 = settings.initial_sd_m**-2.0
-    Y: csc_matrix = diags_array(np.full(N, Y_0)).tocsc()
+    Y = net.entries(net.predicted(x)[1], np.zeros(m), Y_0)
     R, lam, k, ended, lost = np.full(m, settings.range_sd_m**2), 1.0, 0, False, False
     signs = np.random.default_rng(0).choice([-1.0, 1.0], (m, _PROBES))
-    factor = factorized(Y)
+    factor = net.factorized(Y)
     while k < settings.max_steps and not (ended or lost):
         d, H = net.predicted(x)
         innovation = net.ranges - d
-        M = _probed(H, factor, signs).sum()
+        H_T = H.T
+        M = factor.squares(H_T @ signs) / _PROBES
         share = lam / (1 + lam) if k else 0.5
         N_trace = share * float(innovation @ innovation) - R.sum()
         lam = float(np.clip(N_trace / M, 1.0, settings.max_fading)) if M > 0 else 1.0
-        Y = net.normal(H, 1 / R, (1 - 1 / lam) * Y_0) + Y / lam
-        factor, k = factorized(Y), k + 1
-        moved = factor.solve(H.T @ (innovation / R))
+        Y = net.entries(H, 1 / R, (1 - 1 / lam) * Y_0) + Y / lam
+        factor, k = net.factorized(Y), k + 1
+        moved = factor.solve(H_T @ (innovation / R))
         before, x = x, net.moved(x, moved)
         if settings.noise != "fixed":
             left = innovation - H @ moved
-            spread = np.maximum(_probed(H, factor, signs), 0.0)
+            # (m,) estimate of the diagonal of H P H^T
+            spread = np.maximum(np.mean(signs * (H @ factor.solve(H_T @ signs)), axis=1), 0.0)
             weight = sage_share(k, settings.sage_forgetting)
             R = (1 - weight) * R + weight * (left**2 + spread)
         lost = not np.abs(x).max() < LOST_M
         ended = not lost and stopped(x[net.free], before[net.free], settings)
-    own = own_blocks(Y, N) if covariance else np.full((N // 2, 2, 2), np.nan)
+    own = factor.own_blocks() if covariance else np.full((N // 2, 2, 2), np.nan)
     return _refined(net, x, own, k, ended, lost)
-
-
-def _probed(H: csr_matrix, factor: Any, signs: Array) -> Array:
-    """(m,) estimate of the diagonal of H P H^T."""
-    return np.mean(signs * (H @ factor.solve(H.T @ signs)), axis=1)
 
 
 def _by_matrices(net: PlaneNetwork, settings: FadingEkf) -> RefinedPlane:

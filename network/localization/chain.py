@@ -14,6 +14,7 @@ from .dv_distance import dv_distance
 from .dwmds import dwmds
 from .least_squares import Loss, Refined, refine
 from .problem import Array, Booleans, NodeOutcome, Positions, RangeProblem
+from .quarantine import QuarantineSettings
 from .sdp import MOST_NODES, sdp_start
 from .spherical import locate_successively
 
@@ -62,6 +63,8 @@ class LocalizationSettings(Settings):
     """`distributed`: once started, each node estimates itself from what its neighbours broadcast."""
     sweeps: int = Field(default=2, ge=1, le=100)
     """Broadcasts of each node an epoch with the distributed solver, one a frame."""
+    quarantine: QuarantineSettings | None = None
+    """Leaves out nodes that contradict the others from epoch to epoch; by default nobody looks."""
 
     @model_validator(mode="after")
     def _one_at_a_time(self) -> Self:
@@ -70,6 +73,8 @@ class LocalizationSettings(Settings):
                 f'solver = "distributed" with tracker = "{self.tracker}": a distributed solver follows its'
                 ' nodes itself; allowed is tracker = "epoch"'
             )
+        if self.solver == "distributed" and self.quarantine is not None:
+            raise ValueError('quarantine with solver = "distributed": nobody sees all; allowed is "central"')
         return self
 
 

@@ -1,6 +1,6 @@
 """What a fleet knows at consecutive epochs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .problem import Array, Booleans, Integers
 
@@ -33,3 +33,9 @@ class Epochs:
     """1/m, likewise."""
     lost: Booleans | None = None
     """(k, sweeps, n) broadcasts that nobody received, of the distributed solver; none by default."""
+
+    def __getitem__(self, rows: slice) -> "Epochs":
+        """Some of the epochs."""
+        names = ("t", "ranges", "range_sd", "rates", "heard", "belief_x", "belief_v", "height", "lost")
+        values = {name: getattr(self, name) for name in names}
+        return replace(self, **{name: value[rows] for name, value in values.items() if value is not None})

@@ -134,10 +134,10 @@ def step(
 
 def fading_factor(f: Filter, innovation: Array, H: Array, R: Array, heard: Booleans, most: float) -> Array:
     """lambda_k (...) by (9) to (12), at most ``most``; of C, M and N the traces are needed alone."""
-    M = _trace(H @ f.P @ transposed(H))  # (10)
+    M = np.sum((H @ f.P) * H, axis=(-1, -2))  # (10)
     share = np.where(f.steps > 0, f.fading / (1 + f.fading), 0.5)
     C = share * np.sum(innovation**2, axis=-1)  # (12)
-    N = C - _trace(H @ f.Q @ transposed(H)) - _trace(R * heard[..., None])  # (11)
+    N = C - np.sum((H @ f.Q) * H, axis=(-1, -2)) - _trace(R * heard[..., None])  # (11)
     ratio = np.divide(N, M, out=np.ones_like(M), where=M > 0)
     return np.clip(ratio, 1.0, most)  # (9)
 

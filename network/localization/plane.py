@@ -13,6 +13,8 @@ from .problem import Array, Booleans, Integers, LocalizationError, RangeProblem
 
 _HEIGHT_SD_M = 1e-3
 """Of nodes that are known to lie in the plane; far below any range's, and not so far as to be stiff."""
+_SINGULAR = 1e-15
+"""Eigenvalue, over the largest, below which a direction counts as unknown."""
 
 
 class Located(NamedTuple):
@@ -104,25 +106,44 @@ def gauss_newton(
     wrong side does not throw it out. Residuals of more than ``huber`` standard deviations count by Huber's
     loss, and less in the covariance.
     """
-    x = np.array(x0, float)
-    w = _weights(range_sd, ranges[..., None])
-    moving = np.ones(x.shape[:-1], bool)
+    x0 = np.asarray(x0, float)
+    lead, d, m = x0.shape[:-1], x0.shape[-1], np.shape(ranges)[-1]
+
+    def flat(values: Array | float, *own: int) -> Array:
+        return np.broadcast_to(values, lead + own).reshape(-1, *own)
+
+    x = flat(x0, d).copy()
+    anchors, ranges, rise = flat(anchors, m, d), flat(ranges, m), flat(rise, m)
+    w = flat(np.asarray(range_sd, float) ** -2.0, m)
     reach = np.sum(ranges * w, axis=-1) / np.sum(w, axis=-1)
+    moving = np.arange(len(x))
     for _ in range(max_iterations):
-        d, u = distances(x, anchors, rise)
-        shared = w * _huber_weights((ranges - d) * np.sqrt(w), huber)
-        gradient = apply(transposed(u), (ranges - d) * shared)
-        step = apply(np.linalg.pinv(transposed(u) @ (u * shared[..., None]), hermitian=True), gradient)
+        at = x[moving], anchors[moving], rise[moving]
+        inverse, gradient = _normal(*at, ranges[moving], w[moving], huber)
+        step = apply(inverse, gradient)
         length = np.linalg.norm(step, axis=-1)
-        step *= np.minimum(1.0, reach / np.maximum(length, 1e-12))[..., None]
-        x = np.where(moving[..., None], x + step, x)
-        moving = moving & (length > tolerance_m)
-        if not moving.any():
+        step *= np.minimum(1.0, reach[moving] / np.maximum(length, 1e-12))[..., None]
+        x[moving] += step
+        moving = moving[length > tolerance_m]
+        if not len(moving):
             break
+    cov, _ = _normal(x, anchors, rise, ranges, w, huber)
+    still = np.ones(len(x), bool)
+    still[moving] = False
+    return Located(x.reshape(x0.shape), cov.reshape(*lead, d, d), still.reshape(lead))
+
+
+def _normal(
+    x: Array, anchors: Array, rise: Array, ranges: Array, w: Array, huber: float
+) -> tuple[Array, Array]:
+    """Pseudo-inverse of the normal equations (n, d, d), and their right side (n, d)."""
     d, u = distances(x, anchors, rise)
     shared = w * _huber_weights((ranges - d) * np.sqrt(w), huber)
-    cov = np.linalg.pinv(transposed(u) @ (u * shared[..., None]), hermitian=True).astype(np.float64)
-    return Located(x, cov, ~moving)
+    values, vectors = np.linalg.eigh(transposed(u) @ (u * shared[..., None]))
+    known = np.abs(values) > _SINGULAR * np.abs(values).max(axis=-1, keepdims=True)
+    weights = np.divide(1.0, values, out=np.zeros_like(values), where=known)
+    inverse = (vectors * weights[..., None, :]) @ transposed(vectors)
+    return inverse, apply(transposed(u), (ranges - d) * shared)
 
 
 def check_ranges(ranges: Array, range_sd: Array) -> None:

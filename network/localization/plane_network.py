@@ -4,20 +4,17 @@ The state (2 k,) m holds north and east of the k free nodes, one after another; 
 normal equations stands where its two nodes meet, so that their factor grows little faster than the network.
 """
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
+from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.sparse import coo_matrix, csc_matrix, csr_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
+from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from .plane import check_anchors, check_ranges, distances
 from .problem import Array, Booleans, Integers, LocalizationError, RangeProblem
-
-_SYMMETRIC = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-"""Least fill for normal equations, whose pivots need no search."""
 
 
 @dataclass(frozen=True)
@@ -81,9 +78,15 @@ class PlaneNetwork:
         """Distances (m,) at positions (n, 2), and their derivatives H (m, 2 k)."""
         i, j = self.links.T
         d, u = (values[:, 0] for values in distances(x[i], x[j][:, None]))
-        columns, starts, kept = self._pattern
-        values = np.hstack([u, -u])[kept]
-        return d, csr_matrix((values, columns, starts), shape=(len(d), self.unknowns))
+        H = copy(self._derivatives)
+        H.data = np.hstack([u, -u])[self._pattern[2]]
+        return d, H
+
+    @cached_property
+    def _derivatives(self) -> csr_matrix:
+        """H without its values: making one anew is most of the work of a prediction."""
+        columns, starts, _ = self._pattern
+        return csr_matrix((np.zeros(len(columns)), columns, starts), shape=(len(self.links), self.unknowns))
 
     @cached_property
     def _normal_pattern(self) -> tuple[Integers, Integers, Integers, Integers]:
@@ -98,16 +101,48 @@ class PlaneNetwork:
         diagonal = np.searchsorted(keys, (N + 1) * np.arange(N))
         return keys % N, column_starts, diagonal, np.stack([slot, pairs, other])
 
-    def normal(self, H: csr_matrix, w: Array, supported: Array | float = 0.0) -> csc_matrix:
-        """``H^T W H`` with weights w (m,), and ``supported`` (2 k,) added to its diagonal.
+    def entries(self, H: csr_matrix, w: Array, supported: Array | float = 0.0) -> Array:
+        """Those of ``H^T W H`` with weights w (m,), and ``supported`` (2 k,) added to its diagonal.
 
         The pattern is made once, which the general product of two sparse matrices would do each time.
         """
-        rows, starts, diagonal, (slot, one, other) = self._normal_pattern
+        rows, _, diagonal, (slot, one, other) = self._normal_pattern
         weighted = np.repeat(w, np.diff(H.indptr)) * H.data
-        data = np.bincount(slot, weighted[one] * H.data[other], len(rows))
-        data[diagonal] += supported
-        return csc_matrix((data, rows, starts), shape=(self.unknowns, self.unknowns))
+        entries = np.asarray(np.bincount(slot, weighted[one] * H.data[other], len(rows)), np.float64)
+        entries[diagonal] += supported
+        return entries
+
+    def diagonal(self, entries: Array) -> Array:
+        """(2 k,) of the normal matrix."""
+        return np.asarray(entries[self._normal_pattern[2]])
+
+    def normal(self, entries: Array) -> csc_matrix:
+        """The normal matrix of `entries`."""
+        rows, starts, *_ = self._normal_pattern
+        return csc_matrix((entries, rows, starts), shape=(self.unknowns, self.unknowns))
+
+    @cached_property
+    def _band(self) -> tuple[Integers, int, Integers, Integers]:
+        """Order of the unknowns that keeps the normal matrix near its diagonal, its width there, which
+        entries are of the lower half, and where they stand in LAPACK's band."""
+        rows, starts, *_ = self._normal_pattern
+        order = reverse_cuthill_mckee(self.normal(np.ones(len(rows))).tocsr(), symmetric_mode=True)
+        rank = np.argsort(order)
+        row, column = rank[rows], np.repeat(rank, np.diff(starts))
+        lower = np.flatnonzero(row >= column)
+        below = (row - column)[lower]
+        width = int(below.max(initial=0)) + 1
+        return order, width, lower, column[lower] * width + below
+
+    def factorized(self, entries: Array) -> "Factor":
+        """Factor of the normal matrix of `entries`. Raises `LinAlgError` if it is not positive definite."""
+        order, width, lower, at = self._band
+        band = np.zeros(self.unknowns * width)
+        band[at] = entries[lower]
+        factor, info = dpbtrf(band.reshape(-1, width).T, lower=1, overwrite_ab=1)
+        if info:
+            raise np.linalg.LinAlgError("the ranges leave normal equations that are not positive definite")
+        return Factor(factor, order)
 
     def moved(self, x: Array, step: Array) -> Array:
         """Positions (n, 2) after a step (2 k,) of the state."""
@@ -146,23 +181,38 @@ def check_plane_network(problem: RangeProblem) -> None:
             )
 
 
-def factorized(A: csc_matrix) -> Any:
-    """Sparse factor of a positive definite matrix. Raises RuntimeError if it is exactly singular."""
-    return splu(A, **_SYMMETRIC)
+@dataclass(frozen=True)
+class Factor:
+    """Cholesky factor of normal equations, as a band."""
 
+    band: Array
+    """(width, 2 k), lower."""
+    order: Integers
+    """(2 k,) unknown that stands at each place of the band."""
 
-def own_blocks(A: csc_matrix, N: int) -> Array:
-    """(N / 2, 2, 2) blocks on the diagonal of the inverse of normal equations of N unknowns."""
-    factor = factorized(A)
-    blocks = np.empty((N // 2, 2, 2))
-    for first in range(0, N, _COLUMNS):
-        columns = np.arange(first, min(first + _COLUMNS, N))
-        right = np.zeros((N, len(columns)))
-        right[columns, columns - first] = 1.0
-        solved = factor.solve(right)
-        own = columns.reshape(-1, 2)
-        blocks[own[:, 0] // 2] = solved[own[:, :, None], own[:, None, :] - first]
-    return blocks
+    def solve(self, right: Array) -> Array:
+        """x (2 k, ...) of ``A x = right``."""
+        x = np.empty_like(right)
+        x[self.order], _ = dpbtrs(self.band, right[self.order], lower=1, overwrite_b=1)
+        return x
+
+    def squares(self, right: Array) -> float:
+        """``tr(right^T A^-1 right)``, right (2 k, ...), by half of a solution."""
+        half, _ = dtbtrs(self.band, right[self.order], uplo="L", overwrite_b=1)
+        return float(np.sum(half**2))
+
+    def own_blocks(self) -> Array:
+        """(k, 2, 2) blocks on the diagonal of the inverse."""
+        N = len(self.order)
+        blocks = np.empty((N // 2, 2, 2))
+        for first in range(0, N, _COLUMNS):
+            columns = np.arange(first, min(first + _COLUMNS, N))
+            right = np.zeros((N, len(columns)))
+            right[columns, columns - first] = 1.0
+            solved = self.solve(right)
+            own = columns.reshape(-1, 2)
+            blocks[own[:, 0] // 2] = solved[own[:, :, None], own[:, None, :] - first]
+        return blocks
 
 
 _COLUMNS = 200
@@ -203,10 +253,11 @@ def least_squares_in_plane(
     d, H = net.predicted(x)
     cost = _cost(net, d, w)
     while iterations < max_iterations and not converged:
-        g, size = H.T @ (w * (net.ranges - d)), net.normal(H, w).diagonal()
+        g, A = H.T @ (w * (net.ranges - d)), net.entries(H, w)
+        size = net.diagonal(A)
         while iterations < max_iterations:
             iterations += 1
-            step = factorized(net.normal(H, w, damping * (size + 1e-6 * size.max()))).solve(g)
+            step = net.factorized(net.entries(H, w, damping * (size + 1e-6 * size.max()))).solve(g)
             trial = net.moved(x, step)
             trial_d, trial_H = net.predicted(trial)
             trial_cost = _cost(net, trial_d, w)
@@ -221,7 +272,7 @@ def least_squares_in_plane(
             damping *= 8
     blocks = None
     if covariance:
-        blocks = own_blocks(net.normal(H, w, 1e-6 * np.median(w)), net.unknowns)
+        blocks = net.factorized(net.entries(H, w, 1e-6 * np.median(w))).own_blocks()
     return PlaneSolution(_finite(net, x), _covariances(net, blocks), cost, iterations, converged)
 
 

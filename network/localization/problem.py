@@ -30,6 +30,8 @@ class NodeOutcome(IntEnum):
     INCONSISTENT = 5
     """The residuals of its ranges are larger than their noise allows."""
     NOT_CONVERGED = 6
+    QUARANTINED = 7
+    """Its ranges were found to be false (`quarantine`)."""
 
 
 @dataclass(frozen=True)

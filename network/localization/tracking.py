@@ -7,7 +7,7 @@ Ranges and range rates are solved together: a range rate tells of a direction, a
 of velocities, and velocities from range rates at given positions would have to bear the errors of these.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ from .epochs import Epochs
 from .gossip import Gossip
 from .least_squares import LOSSES
 from .problem import Array, Booleans, Integers, NodeOutcome, RangeProblem
+from .quarantine import Evidence
 
 RESTART_S = 5.0
 """Interval at which nodes that have no position are started anew, and after which a lost one has none."""
@@ -54,6 +55,8 @@ class Track:
     shared: Array
     """(n, 6, 6) the part of ``cov`` that is of the anchors' errors, the same at all epochs; (0, 6, 6) where
     each epoch stands by itself (`LocalizationSettings.tracker`)."""
+    seen: Evidence | None = None
+    """For a `quarantine.Monitor`."""
 
 
 class _Component(NamedTuple):
@@ -109,10 +112,26 @@ class Tracker:
         self._t: float | None = None
         self._chain_outcome = np.full(n, int(NodeOutcome.TOO_FEW_NEIGHBOURS))
         self._gossip = Gossip(settings, np.diag(weak_sd**2), n)
+        self._silenced = np.zeros(n, np.bool_)
+
+    def disbelieve(self, anchor: int) -> None:
+        """Take an anchor for a node like others from now on."""
+        self._anchor = self._anchor & (np.arange(len(self._anchor)) != anchor)
+        self._w_prior[anchor] = 0.0
+        self._started[anchor] &= self._t is not None
+        self._located_s[anchor] = -np.inf if self._t is None else self._t
+
+    def silence(self, node: int) -> None:
+        """Use no ranges of a node from now on."""
+        self._silenced[node], self._started[node] = True, False
+        self._chain_outcome[node] = NodeOutcome.QUARANTINED
 
     def advance(self, epochs: Epochs) -> Track:
         """Estimates of the next epochs. Nodes are started at the first of them, if at all."""
-        if not self._started.all() and epochs.t[0] - self._chain_s >= self._wait_s:
+        if self._silenced.any():
+            audible = ~self._silenced[epochs.pairs].any(axis=1)
+            epochs = replace(epochs, heard=epochs.heard & audible)
+        if not (self._started | self._silenced).all() and epochs.t[0] - self._chain_s >= self._wait_s:
             self._start(epochs)
             patient = min(2 * self._wait_s, RESTART_S)
             self._wait_s = RESTART_S if self._started[OWN_SHIP] else patient
@@ -123,7 +142,8 @@ class Tracker:
         w_range, w_rate = joined * epochs.range_sd**-2.0, joined * epochs.rate_sd**-2.0
         terms = self._terms(epochs, beliefs[0], w_range[0], w_rate[0])
         states, own_cov = np.empty((k, n, B)), np.empty((k, B, B))
-        cov, shared = np.empty((n, B, B)), np.empty((0 if self._settings.tracker == "epoch" else n, B, B))
+        alone = self._settings.tracker == "epoch" and self._settings.quarantine is None
+        cov, shared = np.empty((n, B, B)), np.empty((0 if alone else n, B, B))
         misfit, residuals = np.empty((k, n)), np.empty((k, n), np.int64)
         neighbours, converged = np.empty((k, n), np.int64), np.empty(k, np.bool_)
         heights = np.broadcast_to(terms.height, (k, n)) if epochs.height is None else epochs.height
@@ -154,6 +174,10 @@ class Tracker:
                 out,
             )
         self._t = float(epochs.t[-1])
+        seen = None
+        if self._settings.quarantine is not None:
+            at = epochs.t, terms, states, cov, shared, self._started.copy()
+            seen = Evidence(*at, w_range, w_rate, epochs.ranges, epochs.rates, heights)
         own_cov, cov, shared = (
             part[:, self._kinematic][:, :, self._kinematic] for part in (own_cov, cov, shared)
         )
@@ -174,7 +198,7 @@ class Tracker:
         own_cov[outcome[:, OWN_SHIP] != NodeOutcome.LOCATED] = np.nan
         x, v = states[..., :3], states[..., self._kinematic[3] : self._kinematic[5] + 1]
         x, v = np.where(kept, x, np.nan), np.where(kept, v, np.nan)
-        return Track(x, v, own_cov, sd, outcome, cov, shared)
+        return Track(x, v, own_cov, sd, outcome, cov, shared, seen)
 
     def _start(self, epochs: Epochs) -> None:
         """Locate nodes that are not started from the ranges of the first epoch alone."""
@@ -196,8 +220,9 @@ class Tracker:
         )
         self._chain_s = self._t = float(epochs.t[0])
         self._chain_outcome = np.where(found.suspect, int(NodeOutcome.INCONSISTENT), found.outcome)
+        self._chain_outcome[self._silenced] = NodeOutcome.QUARANTINED
         # A biased anchor pulls the nodes around it: it has to stand back until it is beyond suspicion.
-        self._started[self._anchor] = ~found.suspect[self._anchor]
+        self._started[self._anchor] = ~(found.suspect | self._silenced)[self._anchor]
         new = ~self._started & (found.outcome == NodeOutcome.LOCATED)
         if not new.any():
             return
