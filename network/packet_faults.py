@@ -55,7 +55,7 @@ def faulty(fixes: Fixes, faults: PacketFaults, rng: Generator) -> Fixes:
 
 
 def outliers(fixes: Fixes, faults: PacketFaults, rng: Generator) -> NDArray[np.bool_]:
-    """Which of the packets that `faulty` returned it had made false, (k,), given an ``rng`` as it had: for the
+    """Which of the packets that `faulty` returned it had made false, (k,), given an ``rng`` like its: for the
     scores, no receiver knows it."""
     if not faults.outlier_share or not len(fixes):
         return np.zeros(len(fixes), bool)
