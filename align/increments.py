@@ -10,8 +10,8 @@ What is broken is told without look at any truth:
 - a time that does not move on: those samples are refused until it does, and no faster than samples can have
   come since; where samples are missing, their places are filled;
 - a value that is repeated to the last bit more often than noise can do by chance: the axis is stuck. How
-  often that is, `_repeats_by_chance` says; a sensor that is told to have no noise is never stuck, for at
-  rest it repeats itself;
+  often that is, its counts and the record tell (`_judge`); a sensor that is told to have no noise is never
+  stuck, for at rest it repeats itself;
 - a value that comes again and again, and what lies between stays on one side of it: the axis is saturated,
   and the truth lies beyond; so it does where a repeated value is the greatest of the record, or cuts off
   what was there before.
@@ -39,6 +39,8 @@ JERK, ANGULAR_ACCELERATION = 10.0, 0.5
 """Standard deviations meanwhile, m/s^3 and rad/s^2: a brisk manoeuvre's."""
 EXCESS = 0.25
 """Standard deviation of what lies beyond a full scale, of the full scale."""
+SCATTERED = 1e-3
+"""Repeats of a value by chance in a whole record, below which repeats far apart mean something too."""
 APART = 4
 """Rows from one sample at a full scale to the next: vibration may bring the axis back between them."""
 BEYOND = 1e3, 1e4
@@ -175,6 +177,8 @@ def _repeated(increments: Array, dt: float, imu: ImuErrors, reason: NDArray[np.i
     again = np.zeros(6, np.int64)
     for lag in range(1, APART + 1):
         again += np.count_nonzero(increments[1 + lag :] == increments[1:-lag], axis=0)
+    for end in (increments[1:].max(axis=0), increments[1:].min(axis=0)):
+        again = np.maximum(again, np.count_nonzero(increments[1:] == end, axis=0))
     for column in np.flatnonzero((again >= LEAST_REPEATS) & (sigma > 0)):
         rows = np.flatnonzero(reason[:, column] == 0)[1:]
         told = np.zeros(len(rows), np.int8)
@@ -185,11 +189,16 @@ def _repeated(increments: Array, dt: float, imu: ImuErrors, reason: NDArray[np.i
 def _judge(value: Array, sigma: float, quantum: float, told: NDArray[np.int8]) -> None:
     """Write to ``told``, (n,), what became of the samples ``value`` of one axis, all of them numbers."""
     levels, count = np.unique(value, return_counts=True)
-    chance = _chance_of_a_repeat(value, levels, sigma, quantum)
+    if len(levels) < 2:
+        return  # nothing tells how fine it measures
+    # White noise in counts of q repeats a value with this probability.
+    by_count = max(quantum, float(np.diff(levels).min())) / (2 * math.sqrt(math.pi) * sigma)
+    chance = max(by_count, _share_repeated(value))
     in_a_row, near = (_repeats_by_chance(p, len(value)) for p in (chance, APART * chance))
-    for level in levels[count > near]:
+    for level in levels[count > min(near, LEAST_REPEATS)]:
         here = value == level
-        full_scale = False
+        # However far apart, what cannot repeat itself does not do so at an end of what is measured.
+        full_scale = level in levels[[0, -1]] and len(value) * by_count < SCATTERED
         for first, end in _runs(_joined(here, APART - 1)):
             repeats, inside = int(here[first:end].sum()) - 1, value[first:end]
             one_sided = (inside <= level).all() if level > 0 else (inside >= level).all()
@@ -215,20 +224,11 @@ def _cuts_off(value: Array, level: float, first: int) -> bool:
     return bool(abs(level) >= size.max())
 
 
-def _chance_of_a_repeat(value: Array, levels: Array, sigma: float, quantum: float) -> float:
-    """Probability that noise alone repeats a value.
-
-    That of standard deviation ``sigma`` in counts of q does with q / (2 sqrt(pi) sigma); q is the count that
-    is told, or the least difference that occurs. The record itself tells another: the share of values that
-    were repeated at all, each counted once however often. The greater of the two counts.
-    """
-    if len(levels) < 2:
-        return 1.0
-    q = max(quantum, float(np.diff(levels).min()))
+def _share_repeated(value: Array) -> float:
+    """The share of values that were repeated at all, each counted once however often."""
     same = np.diff(value) == 0
     spells = int(np.count_nonzero(same[1:] & ~same[:-1])) + int(same[0])
-    seen = (spells + 1) / (len(value) - int(same.sum()) + 2)
-    return max(q / (2 * math.sqrt(math.pi) * sigma), seen)
+    return (spells + 1) / (len(value) - int(same.sum()) + 2)
 
 
 def _repeats_by_chance(p: float, n: int) -> float:
