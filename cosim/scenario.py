@@ -194,6 +194,17 @@ class Scenario(Settings):
         return self
 
     @model_validator(mode="after")
+    def _imu_faults_fit(self) -> "Scenario":
+        window_s = self.alignment.duration_s
+        for number, fault in enumerate(self.faults.imu):
+            if fault.end_s > window_s:
+                raise ValueError(
+                    f"faults.imu[{number}] from {fault.start_s:g} s for {fault.duration_s:g} s: must end with"
+                    f" the alignment, at {window_s:g} s, or before"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _variants_are_scenarios(self) -> "Scenario":
         for name in self.variants:
             self.variant(name)
