@@ -62,9 +62,19 @@ class Flight:
     def window(self, start_s: float, end_s: float) -> "Flight":
         """The rows with ``start_s <= time <= end_s``; ``time`` and the phases keep their epoch.
 
-        Row 0's increments are set to zero: they belong to the interval before the window.
+        Row 0's increments are set to zero: they belong to the interval before the window. Asked for again,
+        it is the same window, with what it has computed for `at`: many runs share one.
         Raises ValueError unless two rows or more are inside.
         """
+        if (start_s, end_s) not in self._windows:
+            self._windows[start_s, end_s] = self._cut(start_s, end_s)
+        return self._windows[start_s, end_s]
+
+    @cached_property
+    def _windows(self) -> dict[tuple[float, float], "Flight"]:
+        return {}
+
+    def _cut(self, start_s: float, end_s: float) -> "Flight":
         slack = 1e-6 * self.dt
         first, last = np.searchsorted(self.time, [start_s - slack, end_s + slack])
         if last - first < 2:

@@ -12,9 +12,10 @@ from fleetalign.align.methods import estimate
 from fleetalign.align.problem import pose
 from fleetalign.align.settings import DelayModel
 from fleetalign.cosim.bound import bound_of
+from fleetalign.cosim.resampling import paired_ratios
 from fleetalign.cosim.run import Run, simulate
 from fleetalign.cosim.scenario import Scenario, replaced
-from fleetalign.cosim.score import errors_against, paired_ratios, standard_deviations
+from fleetalign.cosim.score import errors_against, standard_deviations
 
 from .harness import Harness, Row
 from .invariant_filter import Aligned, Array, Error, InvariantFilter, Records, condensed

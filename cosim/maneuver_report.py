@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
@@ -16,9 +15,9 @@ from .network_report import level
 from .network_score import plain
 from .outputs import summarize_runs
 from .pages import number, write_page
-from .report import to_toml
-from .scenario import Scenario
-from .score import COLUMNS, bootstrap_rms_interval
+from .resampling import bootstrap_rms_interval
+from .scenario_file import scenario_toml
+from .score import COLUMNS
 
 NAMES = {"s": "the scenario's S", "best": "best manoeuvre"}
 TARGET = {"level_arcsec": 8.0, "heading_arcmin": 0.2}
@@ -112,25 +111,6 @@ def write_maneuver(
         filters=list(study.best.scores),
         scenario_text=scenario_toml(study.best.scenario),
     )
-
-
-def scenario_toml(scenario: Scenario) -> str:
-    """TOML text of what the scenario states otherwise than by default."""
-    return to_toml(_stated(scenario))
-
-
-def _stated(settings: BaseModel) -> dict[str, Any]:
-    """Fields that differ from their defaults; a ``kind`` stands always, for it says what the others mean."""
-    stated = {}
-    for name, field in type(settings).model_fields.items():
-        value = getattr(settings, name)
-        if isinstance(value, BaseModel):
-            inner = _stated(value)
-            if value != field.default:
-                stated[name] = inner
-        elif name == "kind" or field.is_required() or value != field.default:
-            stated[name] = list(value) if isinstance(value, tuple) else value
-    return stated
 
 
 def maneuver_table(title: str, summary: dict[str, Any]) -> Table:

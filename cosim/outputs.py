@@ -23,6 +23,7 @@ from ..sins.units import DEG, DEG_PER_HOUR, MICRO_G, MILLISECOND
 from .files import whole_file
 from .network_score import NetworkScore
 from .outages import outage_rows
+from .resampling import bootstrap_rms_interval, paired_ratios, rms_over
 from .run import Run
 from .scenario import Scenario
 from .score import (
@@ -30,10 +31,7 @@ from .score import (
     HEADING_LIMIT_ARCMIN,
     LEVEL_LIMIT_ARCSEC,
     FilterScore,
-    bootstrap_rms_interval,
     errors_against,
-    paired_ratios,
-    rms_over,
     standard_deviations,
 )
 

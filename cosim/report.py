@@ -1,7 +1,5 @@
 """The report of a scenario's runs: one HTML file that needs nothing else."""
 
-import json
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,10 +18,12 @@ from .network_score import NetworkScore
 from .outages import told_outages
 from .pages import number, write_page
 from .palette import filter_color
+from .resampling import LEAST_RUNS
 from .run import outage_times
 from .scenario import Scenario
 from .scenery import told
-from .score import COLUMNS, LEAST_RUNS, FilterScore
+from .score import COLUMNS, FilterScore
+from .toml import to_toml
 
 _DIGITS = dict(zip(COLUMNS, (1, 1, 2, 3, 3), strict=True))
 _HEADINGS = ("Roll, arcsec", "Pitch, arcsec", "Heading, arcmin", "v east, m/s", "v north, m/s")
@@ -177,24 +177,3 @@ def outcome_table(outcomes: Mapping[str, Mapping[FixOutcome, int]]) -> dict[str,
 
 def _ratio(value: float | None, reference: float | None) -> float | None:
     return None if value is None or not reference else value / reference
-
-
-def to_toml(content: Mapping[str, Any]) -> str:
-    """TOML text of nested tables of numbers, strings, truth values and lists of these; None is left out."""
-    return "\n".join(_toml_lines(content, ())).strip() + "\n"
-
-
-def _toml_lines(table: Mapping[str, Any], where: tuple[str, ...]) -> list[str]:
-    plain = {key: value for key, value in table.items() if value is not None and not isinstance(value, dict)}
-    lines = [f"{_key(key)} = {json.dumps(value, ensure_ascii=False)}" for key, value in plain.items()]
-    if where and lines:
-        lines = ["", f"[{'.'.join(map(_key, where))}]", *lines]
-    for key, value in table.items():
-        if isinstance(value, dict):
-            lines += _toml_lines(value, (*where, key))
-    return lines
-
-
-def _key(key: str) -> str:
-    """A key, in quotes where its letters ask for them."""
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key, ensure_ascii=False)

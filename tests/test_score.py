@@ -5,12 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fleetalign.align.estimate import FixOutcome, NavStatus
+from fleetalign.cosim.resampling import LEAST_RUNS, bootstrap_rms_interval, paired_ratios, rms_over
 from fleetalign.cosim.score import (
-    LEAST_RUNS,
     FilterScore,
-    bootstrap_rms_interval,
-    paired_ratios,
-    rms_over,
 )
 
 NAN = np.nan

@@ -8,7 +8,9 @@ import numpy as np
 
 from ...align.consistency import mean_band
 from ..network_score import plain
-from ..score import COLUMNS, GROUPS, LEAST_RUNS, resampled_means, tails
+from ..resampling import LEAST_RUNS, resampled_means, tails
+from ..scenario import ScenarioError
+from ..score import COLUMNS, GROUPS
 from .ledger import read_plan, read_points
 
 WORST = 10
@@ -54,6 +56,8 @@ def summarize(folder: Path) -> CampaignSummary:
     """Read a campaign's folder, point by point. Raises `ScenarioError` where none is kept."""
     plan, scores, worst = read_plan(folder), list[PointScore](), dict[str, list[dict[str, Any]]]()
     for point, table in read_points(folder):
+        if point >= len(plan["coordinates"]):
+            raise ScenarioError(f"{folder}: shards of point {point}; the plan has {len(plan['coordinates'])}")
         rows = table.to_pylist()
         for name in dict.fromkeys(row["filter"] for row in rows):
             mine = [row for row in rows if row["filter"] == name]

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..score import LEAST_RUNS, resampled_means, tails
+from ..resampling import LEAST_RUNS, resampled_means, tails
 from .results import Array, Value
 
 Figure = Callable[[Array], Array]
