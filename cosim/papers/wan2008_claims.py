@@ -80,10 +80,12 @@ def _stable(settings: Refinement, found: Found) -> Claim:
         verdict=judging.verdict(printed, [saves]),
         measured=f"Lost as printed {mean['distributed_printed']:.1f} %. Mended: without fading"
         f" {mean['cap_1']:.2f} %, lambda <= {settings.max_fading:g} {mean['distributed']:.2f} %, <= 1e4"
-        f" {mean['cap_1e4']:.2f} %, without limit {mean['cap_none']:.2f} %. Mended, but neighbours taken for"
+        f" {mean['cap_1e4']:.2f} %, without limit {mean['cap_none']:.2f} %, in {np.sum(lost['cap_none'] > 0)}"
+        f" of {len(lost['cap_none'])} draws. Mended, but neighbours taken for"
         f" beacons: lambda <= {settings.max_fading:g} {mean['known']:.2f} %, <= 1e4"
         f" {mean['known_cap_1e4']:.2f} %, without limit {mean['known_cap_none']:.2f} %.",
-        why="The rows of the table of elements differ from the mended filter in what they name.",
+        why="The rows of the table of elements differ from the mended filter in what they name. Without a"
+        " limit a node that is thrown far out starts from there; which nodes are is decided by rounding.",
     )
 
 
