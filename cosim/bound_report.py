@@ -20,9 +20,9 @@ from .figures import BOUND_NAMES
 from .network_score import plain
 from .outputs import write_parquet
 from .pages import write_page
-from .report import to_toml
 from .scenario import Scenario
 from .score import standard_deviations
+from .toml import to_toml
 
 STATES = {
     "north_m": "north, m",

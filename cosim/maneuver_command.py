@@ -63,11 +63,11 @@ def maneuver(
     """Find the bank profile with the least bound on misalignment, fly it, and align on it beside the S."""
     from ..align.maneuver import ManeuverError, ManeuverSearch, best_maneuver
     from ..align.maneuver_limits import ManeuverLimits
-    from .files import whole_file
     from .maneuver import ManeuverStudy, align_on, grid_of, task_of, with_profile, with_stated_fixes
-    from .maneuver_report import maneuver_table, scenario_toml, summarize, told_lines, write_maneuver
+    from .maneuver_report import maneuver_table, summarize, told_lines, write_maneuver
     from .outputs import write_json
     from .recording import write_recording
+    from .scenario_file import write_scenario
 
     limits = _chosen(
         ManeuverLimits,
@@ -109,8 +109,7 @@ def maneuver(
     study = ManeuverStudy(task, limits, search, found, seconds, grid, s, best)
     summary = summarize(name, study)
     write_json(folder / "maneuver.json", summary)
-    with whole_file(folder / "maneuver.toml") as partial:
-        partial.write_text(scenario_toml(best.scenario), "utf-8")
+    write_scenario(best.scenario, folder / "maneuver.toml")
     with progress_bar("recording and report", silent) as progress:
         vibration_mps = settings.imu.vibration_mps
         title = best.scenario.title

@@ -7,7 +7,8 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from .toml import field_name, shortened
+from ..sins.text import shortened
+from .toml import field_name
 
 Schema = dict[str, Any]
 

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from ..align.lmi.plant import MATRICES, Plant, checked_polytope
+from ..sins.text import shortened
 from .command_line import InputError
-from .toml import field_name, read_named, shortened
+from .toml import field_name, read_named
 
 PLANT_FOLDER = resources.files("fleetalign.scenarios.plants")
 PLANT_KEYS = {"title", "kind", "rho", "vertex", *MATRICES}

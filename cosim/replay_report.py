@@ -10,7 +10,8 @@ from .pages import number, write_page
 from .palette import filter_color
 from .replay import COMPONENTS, Replay
 from .replay_figures import draw_replay
-from .report import outcome_table, to_toml
+from .report import outcome_table
+from .toml import to_toml
 
 _FINAL = {
     "roll_deg": ("Roll, deg", 3),

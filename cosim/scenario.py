@@ -7,7 +7,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from ..aircraft.mission import FlightPlan
 from ..aircraft.phases import PHASE_NAMES
@@ -23,6 +23,7 @@ from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
 from ..sins.imu_faults import ImuFault
 from ..sins.settings import Settings
+from ..sins.text import printable
 from .mistakes import told_mistakes
 from .toml import read_named
 
@@ -153,6 +154,13 @@ class Scenario(Settings):
     """Other values for some fields, by their dotted names, under a name for each set."""
     paper: Paper | None = None
 
+    _folder: Path | None = PrivateAttr(None)
+    """What the files that it names must be in, if it comes from a file."""
+
+    def model_post_init(self, context: Any) -> None:
+        """Keep the folder, for variants and other changes."""
+        self._folder = (context or {}).get("folder")
+
     @model_validator(mode="after")
     def _alignment_inside_the_flight(self) -> "Scenario":
         # Earlier phases end when the aircraft is ready; only these starts are known before it flies.
@@ -185,15 +193,6 @@ class Scenario(Settings):
         return self
 
     @model_validator(mode="after")
-    def _ground_inside_the_flight(self) -> "Scenario":
-        if self.ground and self.ground.end_s > self.flight.end_s:
-            raise ValueError(
-                f"ground.start_s = {self.ground.start_s:g} s: with duration_s = {self.ground.duration_s:g} s"
-                f" does not end before the flight, at {self.flight.end_s:g} s"
-            )
-        return self
-
-    @model_validator(mode="after")
     def _imu_faults_fit(self) -> "Scenario":
         window_s = self.alignment.duration_s
         for number, fault in enumerate(self.faults.imu):
@@ -202,6 +201,15 @@ class Scenario(Settings):
                     f"faults.imu[{number}] from {fault.start_s:g} s for {fault.duration_s:g} s: must end with"
                     f" the alignment, at {window_s:g} s, or before"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _ground_inside_the_flight(self) -> "Scenario":
+        if self.ground and self.ground.end_s > self.flight.end_s:
+            raise ValueError(
+                f"ground.start_s = {self.ground.start_s:g} s: with duration_s = {self.ground.duration_s:g} s"
+                f" does not end before the flight, at {self.flight.end_s:g} s"
+            )
         return self
 
     @model_validator(mode="after")
@@ -218,10 +226,15 @@ class Scenario(Settings):
     def digest(self) -> str:
         """SHA-256 of the whole content, defaults included; a file that it names counts by what it holds."""
         content = self.model_dump(mode="json")
-        for table in (content["fixes"], content["fixes"].get("delay", {})):
-            if "file" in table:
-                table["file"] = hashlib.sha256(Path(table["file"]).read_bytes()).hexdigest()
+        for table in data_tables(content):
+            table["file"] = hashlib.sha256(Path(table["file"]).read_bytes()).hexdigest()
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+
+def data_tables(content: dict[str, Any]) -> list[dict[str, Any]]:
+    """The tables in a scenario's content that name a ``file``."""
+    fixes = content.get("fixes", {})
+    return [table for table in (fixes, fixes.get("delay", {})) if "file" in table]
 
 
 def scenario_names() -> list[str]:
@@ -229,8 +242,9 @@ def scenario_names() -> list[str]:
     return sorted(f.name.removesuffix(".toml") for f in SCENARIO_FOLDER.iterdir() if f.name.endswith(".toml"))
 
 
-def read_scenario(name_or_path: str) -> tuple[str, dict[str, Any], Path]:
-    """Name of a bundled scenario or of a TOML file, what it says, unchecked, and the folder it stands in.
+def read_scenario(name_or_path: str) -> tuple[str, dict[str, Any], Path | None]:
+    """Name of a bundled scenario or of a TOML file, what it says, unchecked, and the folder that the file
+    stands in.
 
     Raises `ScenarioError` for what cannot be read as TOML.
     """
@@ -238,7 +252,7 @@ def read_scenario(name_or_path: str) -> tuple[str, dict[str, Any], Path]:
         path, content = read_named(name_or_path, "scenario", Path(str(SCENARIO_FOLDER)), scenario_names())
     except ValueError as error:
         raise ScenarioError(str(error)) from error
-    return path.stem, content, path.parent
+    return path.stem, content, None if name_or_path in scenario_names() else path.parent
 
 
 def load_scenario(name_or_path: str) -> tuple[str, Scenario]:
@@ -249,7 +263,7 @@ def load_scenario(name_or_path: str) -> tuple[str, Scenario]:
     name, content, folder = read_scenario(name_or_path)
     if is_paper(content):
         raise ScenarioError(f"{name_or_path}: experiment: a paper's own, which flies nothing")
-    return name, _validated(name_or_path, content, folder)
+    return name, _validated(printable(name_or_path), content, {"folder": folder})
 
 
 def is_paper(content: dict[str, Any]) -> bool:
@@ -271,11 +285,11 @@ def replaced(scenario: Scenario, changes: dict[str, Any], origin: str = "change"
             if not isinstance(table, dict):
                 raise ScenarioError(f"{origin}: {name}: unknown field")
         table[last] = value
-    return _validated(origin, content, Path())
+    return _validated(origin, content, {"folder": scenario._folder, "resolved": True})
 
 
-def _validated(file: str, content: dict[str, Any], folder: Path) -> Scenario:
+def _validated(file: str, content: dict[str, Any], context: dict[str, Any]) -> Scenario:
     try:
-        return Scenario.model_validate(content, context={"folder": folder})
+        return Scenario.model_validate(content, context=context)
     except ValidationError as error:
         raise ScenarioError(told_mistakes(file, error, Scenario, "scenario")) from error

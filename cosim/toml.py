@@ -1,10 +1,13 @@
-"""TOML files as users write them, read within bounds: a file that is none costs no memory and no time."""
+"""TOML files: as users write them, read within bounds, so that one that is none costs little; and written."""
 
+import json
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
+
+from ..sins.text import printable, shortened
 
 MOST_BYTES = 1_000_000
 MOST_DEPTH = 32
@@ -91,13 +94,31 @@ def field_name(parts: Iterable[str]) -> str:
     return shortened(printable(".".join(parts)), 120)
 
 
-def printable(text: str) -> str:
-    """A text in which all that a terminal would not show as such is escaped."""
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+def to_toml(content: Mapping[str, Any]) -> str:
+    """TOML text of nested tables and lists of numbers, texts and truth values; None is left out."""
+    return "\n".join(_lines(content, ())).strip() + "\n"
 
 
-def shortened(text: str, most: int = 60) -> str:
-    """A text of at most so many characters."""
-    return text if len(text) <= most else f"{text[: most - 3]}..."
+def _lines(table: Mapping[str, Any], where: tuple[str, ...]) -> list[str]:
+    plain = {key: value for key, value in table.items() if value is not None and not isinstance(value, dict)}
+    lines = [f"{_key(key)} = {_value(value)}" for key, value in plain.items()]
+    if where and lines:
+        lines = ["", f"[{'.'.join(map(_key, where))}]", *lines]
+    for key, value in table.items():
+        if isinstance(value, dict):
+            lines += _lines(value, (*where, key))
+    return lines
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        inner = ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None)
+        return f"{{ {inner} }}" if inner else "{}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _key(key: str) -> str:
+    """A key, in quotes where its letters ask for them."""
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key, ensure_ascii=False)

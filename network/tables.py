@@ -1,9 +1,10 @@
 """Columns of numbers in CSV and Parquet files, checked as they are read."""
 
 import math
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pyarrow as pa
@@ -11,15 +12,52 @@ from numpy.typing import ArrayLike, NDArray
 from pyarrow import csv, parquet
 from pydantic import AfterValidator, ValidationInfo
 
+from ..sins.text import printable, shortened
+
 Array = NDArray[np.float64]
 
+MOST_ROWS = 50_000_000
+"""Of a table that is read."""
 
-def _in_folder(file: Path, info: ValidationInfo) -> Path:
-    return Path((info.context or {}).get("folder", ""), file)
+
+def inside(folder: Path, file: str | Path) -> Path:
+    """The absolute path of a file that another file, which stands in ``folder``, names relative to it.
+
+    Raises ValueError for an absolute name, and for what is outside the folder once ``..`` and links are
+    followed, or is there and is no file.
+    """
+    if Path(file).is_absolute():
+        raise ValueError("an absolute path: must be relative to the file that names it")
+    return _kept_in(folder, Path(folder, file))
 
 
-DataFile = Annotated[Path, AfterValidator(_in_folder)]
-"""A file that settings name. A relative one is taken from the validation context's ``folder``, if given."""
+def _kept_in(folder: Path, file: Path) -> Path:
+    try:
+        path = file.resolve()
+        contained, is_none = path.is_relative_to(folder.resolve()), path.exists() and not path.is_file()
+    except (OSError, RuntimeError) as error:
+        raise ValueError("cannot be read: no such path") from error
+    if not contained:
+        raise ValueError("outside the folder of the file that names it")
+    if is_none:
+        raise ValueError("is no file")
+    return path
+
+
+def _checked(file: Path, info: ValidationInfo) -> Path:
+    context = info.context or {}
+    if context.get("folder") is None:
+        return file
+    folder = Path(context["folder"])
+    return _kept_in(folder, file) if context.get("resolved") and file.is_absolute() else inside(folder, file)
+
+
+DataFile = Annotated[Path, AfterValidator(_checked)]
+"""A file that settings name.
+
+With ``folder`` in the validation's context it must be `inside` that, and becomes an absolute path; with
+``resolved`` as well, it may be one already. Without, the path is the caller's own, and free.
+"""
 
 
 class TableError(ValueError):
@@ -39,8 +77,9 @@ class TableError(ValueError):
         allowed: str | None = None,
     ) -> None:
         self.file, self.column, self.row, self.value, self.allowed = file, column, row, value, allowed
-        place = "".join(f", {name} {where}" for name, where in (("column", column), ("row", row)) if where)
-        super().__init__(f"{file}{place}: {problem}")
+        places = ("column", column and shortened(printable(column))), ("row", row)
+        place = "".join(f", {name} {where}" for name, where in places if where)
+        super().__init__(f"{printable(str(file))}{place}: {problem}")
 
 
 def read_columns(
@@ -60,15 +99,15 @@ def read_columns(
     required, optional = list(required), list(optional)
     table = _read_table(file)
     names = table.column_names
-    for name in names:
-        if names.count(name) > 1:
+    for name, count in Counter(names).items():
+        if count > 1:
             raise TableError(file, "stands there more than once", name)
     missing = [name for name in required if name not in names]
     if missing:
-        raise TableError(file, f"no column {', '.join(missing)}; it has {', '.join(names)}")
+        raise TableError(file, f"no column {', '.join(missing)}; it has {_listed(names)}")
     unknown = [name for name in names if name not in required + optional]
     if unknown and refuse_others:
-        raise TableError(file, f"unknown column {', '.join(unknown)}")
+        raise TableError(file, f"unknown column {_listed(unknown)}")
     present = [name for name in required + optional if name in names]
     return {name: _numbers(file, name, table, name in may_lack) for name in present}
 
@@ -104,13 +143,21 @@ def _read_table(file: Path) -> pa.Table:  # pyright: ignore[reportUnknownParamet
             case ".csv":
                 return csv.read_csv(file)
             case ".parquet":
-                return parquet.read_table(file)
+                with parquet.ParquetFile(file) as columns:
+                    # A few bytes can stand for more rows than fit into the memory.
+                    if columns.metadata.num_rows > MOST_ROWS:
+                        raise TableError(file, f"{columns.metadata.num_rows} rows: allowed are {MOST_ROWS}")
+                    table = columns.read()
             case _:
                 raise TableError(file, "must end in .csv or .parquet")
+        "".join(table.column_names)  # decoded here, where they may prove to be no UTF-8
+        return table
     except FileNotFoundError as error:
         raise TableError(file, "no such file") from error
-    except (OSError, pa.ArrowInvalid) as error:
-        raise TableError(file, " ".join(str(error).split())) from error
+    except UnicodeDecodeError as error:
+        raise TableError(file, "names of columns that are not UTF-8 text") from error
+    except (OSError, pa.ArrowException) as error:
+        raise TableError(file, shortened(printable(" ".join(str(error).split())), 200)) from error
 
 
 def _numbers(file: Path, column: str, table: pa.Table, may_lack: bool) -> Array:  # pyright: ignore[reportUnknownParameterType]
@@ -118,10 +165,10 @@ def _numbers(file: Path, column: str, table: pa.Table, may_lack: bool) -> Array:
     kind = cells.type
     if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)):
         # One odd cell makes its whole column text: find it for the message.
-        for row, cell in enumerate(cells.to_pylist(), start=1):
+        for row, cell in enumerate(_texts(file, column, cells), start=1):
             if not (_is_finite_number(cell) or (may_lack and cell in (None, ""))):
                 raise _not_finite(file, column, row, cell)
-        raise TableError(file, f"holds {kind}, not numbers", column)
+        raise TableError(file, f"holds {shortened(printable(str(kind)))}, not numbers", column)
     values = cells.cast(pa.float64(), safe=False).to_numpy()
     finite = np.isfinite(values)
     if may_lack:
@@ -132,6 +179,21 @@ def _numbers(file: Path, column: str, table: pa.Table, may_lack: bool) -> Array:
     return values
 
 
+def _texts(file: Path, column: str, cells: pa.ChunkedArray) -> list[Any]:  # pyright: ignore[reportUnknownParameterType]
+    """The cells of a column of texts or bytes, none of another."""
+    kind = cells.type
+    if not (pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_binary(kind)):
+        return []
+    try:
+        return cells.to_pylist()
+    except UnicodeDecodeError as error:
+        raise TableError(file, "text that is not UTF-8", column) from error
+
+
+def _listed(names: list[str]) -> str:
+    return shortened(printable(", ".join(names)), 400)
+
+
 def _is_finite_number(cell: object) -> bool:
     try:
         return math.isfinite(float(cell))  # type: ignore[arg-type]
@@ -140,5 +202,5 @@ def _is_finite_number(cell: object) -> bool:
 
 
 def _not_finite(file: Path, column: str, row: int, cell: object) -> TableError:
-    shown = "an empty cell" if cell is None else repr(cell)
+    shown = "an empty cell" if cell is None else shortened(repr(cell))
     return TableError(file, f"{shown} is not a finite number", column, row, cell, "a finite number")

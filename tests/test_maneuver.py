@@ -24,8 +24,8 @@ from fleetalign.align.maneuver_starts import starts, turns
 from fleetalign.align.settings import FilterSettings
 from fleetalign.cosim import maneuver as study
 from fleetalign.cosim.maneuver import align_on, grid_of, task_of, with_profile, with_stated_fixes
-from fleetalign.cosim.maneuver_report import scenario_toml
 from fleetalign.cosim.scenario import Scenario, ScenarioError, load_scenario, replaced
+from fleetalign.cosim.scenario_file import scenario_toml
 from fleetalign.sins.units import ARCMIN, ARCSEC, DEG
 
 TASK = AlignmentTask(velocity_sd_mps=0.03, heading=45 * DEG, latitude=30 * DEG)

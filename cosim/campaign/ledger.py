@@ -2,19 +2,32 @@
 
 import json
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pydantic import ValidationError, model_validator
 
+from ...align.methods import METHODS
+from ...sins.settings import Settings
+from ...sins.text import printable, shortened
 from ..files import whole_file
-from ..scenario import ScenarioError
-from .plan import Campaign, Shard
+from ..mistakes import told_mistakes
+from ..scenario import Scenario, ScenarioError
+from ..scenario_file import with_data_in
+from ..toml import check_content
+from .plan import MOST_SHARD_RUNS, Campaign, CampaignFile, Shard
 from .shard import SCHEMA
 
+POINTS = "points"
+"""Folder of the worst runs' scenarios, and of the data that these name."""
 _PLAN = "campaign.json"
+_MOST_BYTES = 200_000_000
+"""Of a plan: as many points as there may be."""
+_HISTORIES = "history_time_s", "level_history_arcsec", "heading_history_arcmin"
 
 
 class Ledger:
@@ -44,11 +57,14 @@ class Ledger:
         if found and not resume:
             raise ScenarioError(f"{folder}: has {len(found)} finished shards; go on with --resume")
         if not plan.is_file():
+            base = campaign.base.model_dump(mode="json")
+            (folder / POINTS).mkdir(exist_ok=True)
+            with_data_in(folder / POINTS, base)
             content = {
                 "title": campaign.settings.title,
                 "digest": campaign.digest,
                 "settings": campaign.settings.model_dump(mode="json"),
-                "base": campaign.base.model_dump(mode="json"),
+                "base": base,
                 "coordinates": list(campaign.coordinates),
             }
             _write(plan, json.dumps(content, indent=2).encode())
@@ -59,13 +75,13 @@ class Ledger:
         """Whether a shard's file has all its runs; one that has not, say after a disk failed, is dropped."""
         path = self._shards / shard.name
         try:
-            rows = pq.read_table(path, columns=["point", "run"])
-        except (OSError, pa.ArrowInvalid):
+            rows = _rows(path, shard.point)
+        except ScenarioError:
             path.unlink()
             return False
         runs = set(rows["run"].to_pylist())
         whole = set(range(shard.first_run, shard.first_run + shard.runs))
-        if runs != whole or set(rows["point"].to_pylist()) != {shard.point}:
+        if runs != whole:
             path.unlink()
             return False
         return True
@@ -76,24 +92,98 @@ class Ledger:
         self.done.add(shard)
 
 
+class _Plan(Settings):
+    """Content of a plan; its data are beside the points' scenarios."""
+
+    title: str
+    digest: str
+    settings: CampaignFile
+    base: Scenario
+    coordinates: tuple[dict[str, float | int | bool | str], ...]
+
+    @model_validator(mode="after")
+    def _points_on_the_axes(self) -> Self:
+        for number, point in enumerate(self.coordinates):
+            if point.keys() != self.settings.axes.keys():
+                raise ValueError(f"coordinates[{number}]: must have a value of each of settings.axes")
+        return self
+
+
 def read_plan(folder: Path) -> dict[str, Any]:
     """Content of a campaign's folder's plan. Raises `ScenarioError`."""
+    path = folder / _PLAN
+    told = printable(str(path))
     try:
-        content = json.loads((folder / _PLAN).read_text("utf-8"))
+        with path.open("rb") as file:
+            text = file.read(_MOST_BYTES + 1)
     except OSError as error:
-        raise ScenarioError(f"{folder}: no campaign is kept there") from error
-    except ValueError as error:
-        raise ScenarioError(f"{folder / _PLAN}: damaged: {error}") from error
+        raise ScenarioError(f"{printable(str(folder))}: no campaign is kept there") from error
+    try:
+        if len(text) > _MOST_BYTES:
+            raise ValueError(f"more than {_MOST_BYTES} bytes")
+        content = json.loads(text)
+        if not isinstance(content, dict):
+            raise ValueError("no table")
+        check_content(content)
+    except (ValueError, RecursionError) as error:
+        raise ScenarioError(f"{told}: damaged: {shortened(printable(str(error)), 200)}") from error
+    try:
+        _Plan.model_validate(content, context={"folder": folder / POINTS})
+    except ValidationError as error:
+        raise ScenarioError(told_mistakes(told, error, _Plan, "plan")) from error
     return content
 
 
+def kept_base(folder: Path, plan: dict[str, Any]) -> Scenario:
+    """The base scenario of a plan that was read, on the folder's own copies of its data."""
+    return Scenario.model_validate(plan["base"], context={"folder": folder / POINTS})
+
+
 def read_points(folder: Path) -> Iterator[tuple[int, pa.Table]]:  # pyright: ignore[reportUnknownParameterType]
-    """The rows of each point that has any, in order; one point at a time, whatever the campaign's size."""
+    """The rows of each point that has any, in order; one point at a time, whatever the campaign's size.
+
+    Raises `ScenarioError` for a file that is no whole shard.
+    """
     by_point: dict[int, list[Path]] = {}
     for path in sorted((folder / "shards").glob("*.parquet")):
-        by_point.setdefault(int(path.name[1:7]), []).append(path)
+        by_point.setdefault(_point(path), []).append(path)
     for point, paths in by_point.items():
-        yield point, pa.concat_tables([pq.read_table(path, schema=SCHEMA) for path in paths])
+        yield point, pa.concat_tables([_rows(path, point) for path in paths])
+
+
+def _point(path: Path) -> int:
+    found = re.fullmatch(r"p([0-9]{6})_r[0-9]{7}\.parquet", path.name)
+    if not found:
+        raise _damaged(path, "not the name of a shard")
+    return int(found[1])
+
+
+def _rows(path: Path, point: int) -> pa.Table:  # pyright: ignore[reportUnknownParameterType]
+    try:
+        with path.open("rb") as file:
+            kept = pq.ParquetFile(file)
+            if not kept.schema_arrow.equals(SCHEMA):
+                raise _damaged(path, "other columns than a shard's")
+            if kept.metadata.num_rows > MOST_SHARD_RUNS * len(METHODS):
+                raise _damaged(path, "more rows than a shard's")
+            table = kept.read()
+            table.validate(full=True)
+    except (OSError, pa.ArrowException) as error:
+        raise _damaged(path, " ".join(str(error).split())) from error
+    if table["point"].unique().to_pylist() != [point]:
+        raise _damaged(path, f"rows of another point than {point}")
+    if table["run"].null_count or not set(table["filter"].to_pylist()) <= METHODS.keys():
+        raise _damaged(path, "a row without its run, or of no filter")
+    lists = [table[name].combine_chunks() for name in _HISTORIES]
+    lengths = {n for column in lists for n in column.value_lengths().drop_null().to_pylist()}
+    if len(lengths) > 1:
+        raise _damaged(path, "histories of several lengths")
+    return table
+
+
+def _damaged(path: Path, why: str) -> ScenarioError:
+    told = f"{printable(str(path))}: damaged: {shortened(printable(why), 200)}"
+    return ScenarioError(f"{told}; fleetalign campaign ... --resume does it again")
 
 
 def _write(path: Path, content: bytes) -> None:

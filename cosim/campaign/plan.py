@@ -9,15 +9,18 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 from scipy.stats import qmc
 
+from ...network.tables import inside
 from ...sins.settings import Settings
+from ...sins.text import printable, shortened
 from ..mistakes import told_mistakes
-from ..scenario import Scenario, ScenarioError, load_scenario, replaced
+from ..scenario import Scenario, ScenarioError, load_scenario, replaced, scenario_names
 from ..toml import read_toml
 
 MOST_POINTS = 100_000
+MOST_SHARD_RUNS = 10_000
 
 
 class Values(Settings):
@@ -67,7 +70,7 @@ class CampaignFile(Settings):
     """Of all points: the runs of one id have the same sensors and noise at each."""
     filters: tuple[str, ...] = ()
     """The scenario's, if none."""
-    shard_runs: int = Field(default=25, ge=1, le=10_000)
+    shard_runs: int = Field(default=25, ge=1, le=MOST_SHARD_RUNS)
     """Runs that are done, and kept, together."""
     design: Literal["grid", "latin_hypercube"] = "grid"
     points: int = Field(default=50, ge=1, le=MOST_POINTS)
@@ -83,6 +86,14 @@ class CampaignFile(Settings):
             if points > MOST_POINTS:
                 raise ValueError(f"the grid has {points} points: allowed are {MOST_POINTS}")
         return self
+
+    @field_validator("axes")
+    @classmethod
+    def _no_files(cls, axes: dict[str, Axis]) -> dict[str, Axis]:
+        for name in axes:
+            if name.rpartition(".")[2] == "file":
+                raise ValueError(f"{name}: a file is no axis; make a campaign of each")
+        return axes
 
 
 @dataclass(frozen=True)
@@ -135,8 +146,9 @@ class Campaign:
 
 def load_campaign(path: Path) -> Campaign:
     """The campaign of a TOML file. Raises `ScenarioError`, one line for each mistake."""
+    told = printable(str(path))
     try:
-        content = read_toml(path)
+        content = read_toml(path, told)
     except ValueError as error:
         raise ScenarioError(str(error)) from error
     for axis in content.get("axes", {}).values() if isinstance(content.get("axes"), dict) else ():
@@ -146,18 +158,28 @@ def load_campaign(path: Path) -> Campaign:
     try:
         settings = CampaignFile.model_validate(content)
     except ValidationError as error:
-        raise ScenarioError(told_mistakes(str(path), error, CampaignFile, "campaign")) from error
-    beside = path.parent / settings.scenario
-    _, base = load_scenario(str(beside) if beside.is_file() else settings.scenario)
+        raise ScenarioError(told_mistakes(told, error, CampaignFile, "campaign")) from error
+    base = _base(path, settings.scenario)
     campaign = Campaign(settings, base, tuple(_points(settings)))
     for point in range(len(campaign.coordinates)):
         try:
             campaign.scenario(point)
         except ScenarioError as error:
-            told = ", ".join(f"{name} = {value}" for name, value in campaign.coordinates[point].items())
+            where = ", ".join(f"{name} = {value}" for name, value in campaign.coordinates[point].items())
             first = str(error).splitlines()[0].removeprefix(f"point {point}: ")
-            raise ScenarioError(f"{path}: axes: at {told}: {first}") from error
+            raise ScenarioError(f"{told}: axes: at {shortened(where, 200)}: {first}") from error
     return campaign
+
+
+def _base(path: Path, name: str) -> Scenario:
+    """The scenario beside the campaign's file, or the bundled one, of that name."""
+    try:
+        beside = inside(path.parent, name)
+    except ValueError as error:
+        told = f"{printable(str(path))}: scenario = {shortened(repr(name))}: {error}"
+        raise ScenarioError(told) from error
+    bundled = not beside.is_file() and name in scenario_names()
+    return load_scenario(name if bundled else str(beside))[1]
 
 
 def _points(settings: CampaignFile) -> list[dict[str, Any]]:

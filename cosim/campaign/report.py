@@ -7,12 +7,12 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from ..files import whole_file
-from ..maneuver_report import scenario_toml
 from ..outputs import write_json
 from ..pages import number, write_page
-from ..scenario import Scenario, replaced
+from ..scenario import replaced
+from ..scenario_file import write_scenario
 from .figures import draw_campaign
+from .ledger import POINTS, kept_base
 from .summary import CampaignSummary, summarize
 
 _LINES = 40
@@ -40,15 +40,14 @@ def write_report(folder: Path, command: str) -> CampaignSummary:
         command=command,
         shown=_shown,
     )
-    (folder / "points").mkdir(exist_ok=True)
-    base = Scenario.model_validate(plan["base"])
+    (folder / POINTS).mkdir(exist_ok=True)
+    base = kept_base(folder, plan)
     for point in {row["point"] for row in summary.worst}:
         changes: dict[str, Any] = {"variants": {}, "seed": plan["settings"]["seed"]}
         if plan["settings"]["filters"]:
             changes["alignment.filters"] = plan["settings"]["filters"]
         scenario = replaced(base, changes | plan["coordinates"][point])
-        with whole_file(folder / "points" / f"{point:06d}.toml") as partial:
-            partial.write_text(scenario_toml(scenario), "utf-8")
+        write_scenario(scenario, folder / POINTS / f"{point:06d}.toml")
     return summary
 
 
