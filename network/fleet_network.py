@@ -8,7 +8,6 @@ for granted: their own way to it, which over several hops takes as many frames, 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal, Self
 
 import numpy as np
@@ -16,19 +15,21 @@ from numpy.random import Generator
 from pydantic import Field, model_validator
 
 from ..sins.settings import Settings
-from ..sins.units import MILLISECOND
-from .broadcasts import Broadcasts, check_sweeps, draw_broadcasts
+from .attacks import Attacked, attacked
+from .authentication import Authentication
+from .broadcasts import check_sweeps, draw_broadcasts
+from .faults import NetworkFaults, Trouble, drawn
 from .fixes import Fixes, FixesError
 from .fleet import OWN_SHIP, CentrePath, Fleet, FleetSettings, draw_formation
 from .localization.chain import LocalizationSettings
-from .localization.problem import NodeOutcome
+from .localization.quarantine import Monitor
 from .protocol import ProtocolError, ProtocolSettings, carry, solvers
 from .radio import Radio, RadioSettings
-from .record import Array, FixFate, Integers, NetworkRecord
+from .record import Booleans, FaultRecord, FixFate, NetworkRecord
+from .service import broadcast, delivered, fates
 from .survey import survey
-from .tdma import slots_between
 from .topology import draw_topology
-from .traffic import Deliveries, PacketFate, periodic_traffic
+from .traffic import periodic_traffic
 
 WARM_UP_S = 2.0
 """Time for which the network carries packets before the first epoch, so that its queues are as they are."""
@@ -46,6 +47,9 @@ class FleetNetwork(Settings):
     radio: RadioSettings = RadioSettings()
     protocol: ProtocolSettings = ProtocolSettings()
     localization: LocalizationSettings = LocalizationSettings()
+    authentication: Authentication | None = None
+    """Tags on the packets to the own ship, and on what anchors say; by default there are none."""
+    faults: NetworkFaults = NetworkFaults()
 
     @model_validator(mode="after")
     def _workable(self) -> Self:
@@ -58,6 +62,7 @@ class FleetNetwork(Settings):
                 check_sweeps(self.localization.sweeps, fleet.nodes, self.rate_hz, self.protocol)
         except ProtocolError as error:
             raise ValueError(str(error)) from error
+        self.faults.check(fleet.nodes, self.localization.solver)
         return self
 
 
@@ -73,7 +78,7 @@ def fly_network(
     Parameters
     ----------
     path : of the fleet's centre, over the whole interval at least.
-    generator : gives the random numbers of "fleet", "radio" and "protocol".
+    generator : gives the random numbers of "fleet", "radio", "protocol" and "network faults".
 
     Raises `FixesError` for an interval that ends before it starts.
     """
@@ -84,7 +89,17 @@ def fly_network(
     t = np.minimum(start_s + np.arange(k) / settings.rate_hz, end_s)
     fleet = Fleet(draw_formation(settings.fleet, generator("fleet")), path)
     formation = fleet.formation
-    radio = Radio(settings.radio, formation.nodes, generator("radio"), formation.anchor)
+    faults_rng, attacks_rng = generator("network faults").spawn(2)
+    takeoff_lla = path.truth.at(path.time[:1])[0][0]
+    trouble = drawn(settings.faults, settings.authentication, fleet, takeoff_lla, start_s, faults_rng)
+    radio = Radio(
+        settings.radio,
+        formation.nodes,
+        generator("radio"),
+        formation.anchor,
+        trouble and trouble.disturbances,
+    )
+    monitor = _monitor(settings, formation.anchor)
     heads_rng, losses_rng = generator("protocol").spawn(2)
 
     warm_up_s = min(WARM_UP_S, start_s - float(path.time[0]))
@@ -98,10 +113,12 @@ def fly_network(
         times = np.concatenate([first_s + np.arange(early) / settings.rate_hz, t])
         told = draw_broadcasts(times, sweeps, formation.slot_key, settings.protocol, loss, losses_rng)
         lost = told.lost[early:]
-        found = survey(fleet, radio, topology, t, settings.fleet, settings.localization, lost)
-        service = _broadcast(told, k, settings.protocol, first_s, last_s)
+        found = survey(fleet, radio, topology, t, settings.fleet, settings.localization, lost, trouble)
+        service = broadcast(told, k, settings.protocol, first_s, last_s)
     else:
-        found = survey(fleet, radio, topology, t, settings.fleet, settings.localization)
+        found = survey(
+            fleet, radio, topology, t, settings.fleet, settings.localization, None, trouble, monitor
+        )
         solver = solvers(formation.solver_key)
         traffic = periodic_traffic(solver, np.arange(formation.nodes), first_s, end_s, 1 / settings.rate_hz)
         deliveries = carry(
@@ -116,9 +133,9 @@ def fly_network(
             last_s,
             topology.head if settings.protocol.kind == "leach" else None,
         )
-        service = _delivered(deliveries, int(solver[OWN_SHIP]), k)
+        service = delivered(deliveries, int(solver[OWN_SHIP]), k)
     maker = service.maker
-    fate = _fates(found.outcome[:, OWN_SHIP], service.fate)
+    fate = fates(found.outcome[:, OWN_SHIP], service.fate)
     kept = np.flatnonzero(fate == FixFate.DELIVERED)
     delay = np.full(k, np.nan)
     delay[kept] = service.delay[kept]
@@ -132,6 +149,15 @@ def fly_network(
         cov=found.own_cov[kept],
         source=np.full(len(kept), maker, dtype=np.int64),
         sequence=kept.astype(np.int64),
+    )
+    fixes, intruders = attacked(
+        fixes.sorted_by_arrival(),
+        settings.faults.attacks,
+        settings.authentication,
+        () if trouble is None else trouble.intruders,
+        start_s,
+        1 / settings.rate_hz,
+        attacks_rng,
     )
     record = NetworkRecord(
         time=t,
@@ -155,86 +181,29 @@ def fly_network(
         transmissions=service.transmissions,
         slots_used=service.slots_used,
         slots=service.slots,
+        faults=_fault_record(formation.nodes, trouble, monitor, intruders),
     )
-    return fixes.sorted_by_arrival(), record
+    return fixes, record
 
 
-@dataclass(frozen=True)
-class _Service:
-    """What the network did for the fixes: `NetworkRecord` has the same, of all nodes."""
-
-    fate: Integers
-    """(k,) `PacketFate` of the own ship's fixes."""
-    delay: Array
-    """(k,) s."""
-    fleet_delay: Array
-    maker: int
-    sent: int
-    delivered: int
-    queued: int
-    transmissions: int
-    slots_used: int
-    slots: int
+def _monitor(settings: FleetNetwork, anchor: Booleans) -> Monitor | None:
+    """Who watches the nodes, if anybody does."""
+    watched, radio = settings.localization.quarantine, settings.radio
+    if watched is None:
+        return None
+    constant, white = radio.range_bias_sd_m**2, radio.range_sd_m**2
+    return Monitor(watched, anchor, settings.rate_hz, constant / (constant + white))
 
 
-def _delivered(deliveries: Deliveries, maker: int, k: int) -> _Service:
-    """Fixes that other nodes make, and send."""
-    own = np.flatnonzero(deliveries.traffic.destination == OWN_SHIP)[-k:]
-    return _Service(
-        fate=deliveries.fate[own],
-        delay=deliveries.delay[own],
-        fleet_delay=deliveries.delay[deliveries.delivered],
-        maker=maker,
-        sent=len(deliveries.traffic),
-        delivered=int(deliveries.delivered.sum()),
-        queued=int((deliveries.fate == PacketFate.STILL_QUEUED).sum()),
-        transmissions=int(deliveries.transmissions.sum()),
-        slots_used=deliveries.slots_used,
-        slots=deliveries.slots,
+def _fault_record(
+    nodes: int, trouble: Trouble | None, monitor: Monitor | None, intruders: Attacked
+) -> FaultRecord:
+    never = np.full(nodes, np.nan)
+    return FaultRecord(
+        lying_s=never if trouble is None else trouble.lies.since_s,
+        silenced=np.zeros(nodes, np.bool_) if trouble is None else trouble.silenced,
+        quarantined_s=never if monitor is None else monitor.since_s,
+        quarantined_for=np.zeros(nodes, np.int64) if monitor is None else monitor.reason,
+        forged_arrival=intruders.forged,
+        replayed_arrival=intruders.replayed,
     )
-
-
-def _broadcast(
-    told: Broadcasts, k: int, settings: ProtocolSettings, first_s: float, last_s: float
-) -> _Service:
-    """Fixes that each node makes itself, of what all broadcast; the last k epochs are those of the fixes."""
-    first, last = slots_between(first_s, last_s, settings.slot_ms * MILLISECOND)
-    return _Service(
-        fate=np.full(k, int(PacketFate.DELIVERED)),
-        delay=told.delay[-k:],
-        fleet_delay=np.repeat(told.delay[-k:], told.lost.shape[2]),
-        maker=OWN_SHIP,
-        sent=told.lost.size,
-        delivered=told.lost.size - int(told.lost.sum()),
-        queued=0,
-        transmissions=told.lost.size,
-        slots_used=told.lost.size,
-        slots=last - first,
-    )
-
-
-_UNMADE = {
-    NodeOutcome.TOO_FEW_NEIGHBOURS: FixFate.TOO_FEW_NEIGHBOURS,
-    NodeOutcome.SINGULAR: FixFate.UNLOCALIZABLE,
-    NodeOutcome.AMBIGUOUS: FixFate.AMBIGUOUS,
-    NodeOutcome.INCONSISTENT: FixFate.INCONSISTENT,
-    NodeOutcome.NOT_CONVERGED: FixFate.NOT_CONVERGED,
-}
-_UNDELIVERED = {
-    PacketFate.NO_ROUTE: FixFate.NO_ROUTE,
-    PacketFate.RETRIES_EXHAUSTED: FixFate.LOST,
-    PacketFate.QUEUE_FULL: FixFate.LOST,
-    PacketFate.STILL_QUEUED: FixFate.STILL_QUEUED,
-}
-
-
-def _fates(outcome: Integers, packet: Integers) -> Integers:
-    """`FixFate` (k,) from the own ship's `NodeOutcome` and from the `PacketFate` of its packet, (k,) each."""
-    fate = np.full(len(outcome), -1)
-    fate[(outcome == NodeOutcome.LOCATED) & (packet == PacketFate.DELIVERED)] = FixFate.DELIVERED
-    for code, reason in _UNDELIVERED.items():
-        fate[packet == code] = reason
-    for code, reason in _UNMADE.items():
-        fate[outcome == code] = reason
-    assert (fate >= 0).all()
-    return fate

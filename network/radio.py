@@ -13,6 +13,7 @@ from ..sins.settings import Settings
 from ._geometry import distances_and_rates
 from ._held import Held
 from .clock import SPEED_OF_LIGHT, Clocks, ClockSettings
+from .disturbances import Disturbances
 from .observations import Observations, node_pairs
 
 Array = NDArray[np.float64]
@@ -36,6 +37,7 @@ _EFFECTS = (
     "altitude",
     "altitude_bias",
     "clock",
+    "blocked",
 )
 
 
@@ -140,9 +142,14 @@ class Radio:
     """
 
     def __init__(
-        self, settings: RadioSettings, nodes: int, rng: Generator, anchor: Booleans | None = None
+        self,
+        settings: RadioSettings,
+        nodes: int,
+        rng: Generator,
+        anchor: Booleans | None = None,
+        disturbed: Disturbances | None = None,
     ) -> None:
-        self.settings = settings
+        self.settings, self._disturbed = settings, disturbed
         self.pairs = node_pairs(nodes)
         children: dict[str, Generator] = dict(zip(_EFFECTS, rng.spawn(len(_EFFECTS)), strict=True))
         anchor = np.zeros(nodes, bool) if anchor is None else anchor
@@ -164,24 +171,41 @@ class Radio:
         bias = settings.node_bias_m * self.biased
         self._range_bias: Array = link_bias + bias[self.pairs[:, 0]] + bias[self.pairs[:, 1]]
         self._detours = Held(settings.nlos_coherence_s, self._draw_detours)
+        self._blocked = Held(
+            settings.nlos_coherence_s,
+            lambda rows: settings.nlos_mean_m * self._of_pairs("blocked", _EXCESS, rows),
+        )
 
-    def linked(self, distance: Array) -> Booleans:
-        """Which pairs hear each other at distances (..., n, n), m; nobody is linked to itself."""
+    def linked(self, distance: Array, lost_decades: Array | float = 0.0) -> Booleans:
+        """Which pairs hear each other at distances (..., n, n), m, with the link radius so many decades less;
+        nobody is linked to itself."""
         n = distance.shape[-1]
         shadowing = np.zeros((n, n))
         i, j = self.pairs.T
         shadowing[i, j] = shadowing[j, i] = self._shadowing
-        return (self.settings.link_margin_db(distance, shadowing) >= 0) & ~np.eye(n, dtype=bool)
+        margin = self.settings.link_margin_db(distance, shadowing) - self._power_lost_db(lost_decades)
+        return (margin >= 0) & ~np.eye(n, dtype=bool)
+
+    def lost_decades(self, t: Array, x: Array) -> Array | float:
+        """(s, n, n) decades by which pairs' link radius falls at times ``t`` (s,), at ``x`` (s, n, 3)."""
+        if self._disturbed is None:
+            return 0.0
+        lost = self._disturbed.lost_decades(t, x)
+        return np.maximum(lost[:, :, None], lost[:, None])
 
     def observe(self, t: Array, x: Array, v: Array, height: Array) -> Observations:
         """What is measured at epochs ``t`` (k,), s, of nodes at ``x`` (k, n, 3), m, moving at ``v``, m/s.
 
-        Any Cartesian frame serves that x and v share; ``height`` (k, n) m, for the altimeters. Epochs come in
-        ascending order, each once, in chunks of any length k > 0: the draws carry on from chunk to chunk.
+        Any Cartesian frame serves that x and v share, if disturbed the earth's; ``height`` (k, n) m, for the
+        altimeters. Epochs come in ascending order, each once, in chunks of any length k > 0: the draws carry
+        on from chunk to chunk.
         """
         settings, k = self.settings, len(t)
         distance, rates = distances_and_rates(np.ascontiguousarray(x), np.ascontiguousarray(v))
         margin = settings.link_margin_db(distance, self._shadowing)
+        disturbed = self._disturbed
+        if disturbed is not None:
+            margin -= self._power_lost_db(disturbed.pairs_lost_decades(t, x))
         linked = margin >= 0
         heard = linked & (self._of_pairs("loss", _UNIFORM, k) >= settings.loss_probability)
 
@@ -198,9 +222,15 @@ class Radio:
             detour = self._detours.at(t)[0]
             ranges += detour
             nlos = detour > 0
+        if disturbed is not None:
+            blocked = disturbed.blocked(t, x)
+            nlos |= blocked
+            ranges += blocked * self._blocked.at(t)[0] + disturbed.false_ranges(t)
         rates += settings.range_rate_sd_mps * self._of_pairs("range_rate", _NORMAL, k)
 
         offset, frequency = self._clocks.at(t)
+        if disturbed is not None:
+            offset = offset + disturbed.clocks_ahead(t)
         if settings.ranging == "one_way":
             i, j = self.pairs.T
             ranges += SPEED_OF_LIGHT * (offset[:, i] - offset[:, j])
@@ -226,6 +256,10 @@ class Radio:
             clock_offset=offset,
             clock_frequency=frequency,
         )
+
+    def _power_lost_db(self, decades: Array | float) -> Array | float:
+        """What takes so many decades from the link radius."""
+        return 10 * self.settings.path_loss_exponent * decades
 
     def _draw_detours(self, rows: int) -> Array:
         """Detours (rows, m) m of all pairs: zero for those in line of sight."""

@@ -33,6 +33,34 @@ class FixFate(IntEnum):
     """Made, and still on its way when the network's time ended."""
 
 
+class QuarantineReason(IntEnum):
+    """Why a node was quarantined."""
+
+    NONE = 0
+    BELIEF = 1
+    """Others' ranges contradict where this anchor says it is, or what its clock shows: that is not used."""
+    RANGES = 2
+    """Its ranges are too long or too short for wherever it may be: they are not used."""
+
+
+@dataclass(frozen=True)
+class FaultRecord:
+    """Who lied, and who was found out; n nodes."""
+
+    lying_s: Array
+    """(n,) s, truth: from when on each node lies; NaN for honest ones."""
+    silenced: Booleans
+    """(n,) nodes whose tags are wrong: their links were not used."""
+    quarantined_s: Array
+    """(n,) s, when each node was quarantined; NaN for those that were not."""
+    quarantined_for: Integers
+    """(n,) `QuarantineReason`."""
+    forged_arrival: Array
+    """(p,) s, truth: times of arrival of packets that an intruder made up or changed."""
+    replayed_arrival: Array
+    """(q,) s, truth: those of packets that an intruder sent again."""
+
+
 @dataclass(frozen=True)
 class NetworkRecord:
     """One run of the network, k epochs of n nodes; node 0 is the own ship."""
@@ -79,3 +107,5 @@ class NetworkRecord:
     """Slots (CSMA: mini-slots) in which a node sent."""
     slots: int
     """Slots (CSMA: mini-slots) that went by, with the warm-up before and the time that last packets had."""
+    faults: FaultRecord | None = None
+    """None where nobody looked."""

@@ -9,11 +9,14 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from ..sins import earth
+from .faults import Trouble
 from .fleet import OWN_SHIP, Fleet, FleetSettings
 from .localization.chain import LocalizationSettings
 from .localization.epochs import Epochs
 from .localization.following import Follower
+from .localization.quarantine import Monitor
 from .localization.tracking import Track, Tracker
+from .localization.watching import WatchedTracker
 from .radio import Radio
 from .record import Array, Booleans, Integers
 from .topology import Topology
@@ -75,10 +78,13 @@ def survey(
     fleet_settings: FleetSettings,
     settings: LocalizationSettings,
     lost: Booleans | None = None,
+    trouble: Trouble | None = None,
+    monitor: Monitor | None = None,
 ) -> Survey:
     """Observe and locate all nodes at epochs ``t`` (k,), s, ascending.
 
     ``lost`` (k, sweeps, n) are broadcasts of the distributed solver that nobody received; none by default.
+    ``monitor`` leaves out nodes that it finds out, and knows them then; segments wait for each other.
 
     The result does not depend on the number of cores.
     """
@@ -86,7 +92,7 @@ def survey(
     follower = Follower(settings) if settings.tracker != "epoch" else None
 
     def located(sights: list[_Sight], before: Future[list[Survey]] | None) -> list[Survey]:
-        tracker = Tracker(
+        tracker: Tracker | WatchedTracker = Tracker(
             fleet.formation.anchor,
             settings,
             fleet_settings.anchor_position_sd_m,
@@ -94,10 +100,14 @@ def survey(
             radio.settings.assumed_altitude_sd_m,
             radio.settings.clock if radio.settings.ranging == "one_way" else None,
         )
+        if monitor is not None:
+            if before is not None:
+                before.result()  # It carries on from segment to segment.
+            tracker = WatchedTracker(tracker, monitor)
         tracks = [tracker.advance(sight.epochs) for sight in sights]
         if follower is not None:
             if before is not None:
-                before.result()  # It carries on from segment to segment.
+                before.result()  # So does this.
             tracks = [
                 follower.advance(track, *sight.frames) for track, sight in zip(tracks, sights, strict=True)
             ]
@@ -109,7 +119,7 @@ def survey(
     workers = os.cpu_count() or 1
     with ThreadPoolExecutor(workers) as pool:
         # Observed in order, since a radio's draws carry on from chunk to chunk.
-        for sights in _segments(fleet, radio, topology, t, lost):
+        for sights in _segments(fleet, radio, topology, t, lost, trouble):
             latest = pool.submit(located, sights, latest)
             pending.append(latest)
             if len(pending) > workers:
@@ -121,19 +131,31 @@ def survey(
 
 
 def _segments(
-    fleet: Fleet, radio: Radio, topology: Topology, t: Array, lost: Booleans | None
+    fleet: Fleet,
+    radio: Radio,
+    topology: Topology,
+    t: Array,
+    lost: Booleans | None,
+    trouble: Trouble | None,
 ) -> Iterator[list[_Sight]]:
     # The small part lets an epoch that falls on a second's end but for rounding begin the next.
     cuts = np.flatnonzero(np.diff(np.floor((t - t[0]) / CHUNK_S + 1e-6))) + 1
     chunks = np.split(np.arange(len(t)), cuts)
     for first in range(0, len(chunks), SEGMENT):
         yield [
-            _seen(fleet, radio, topology, t[chunk], None if lost is None else lost[chunk])
+            _seen(fleet, radio, topology, t[chunk], None if lost is None else lost[chunk], trouble)
             for chunk in chunks[first : first + SEGMENT]
         ]
 
 
-def _seen(fleet: Fleet, radio: Radio, topology: Topology, t: Array, lost: Booleans | None) -> _Sight:
+def _seen(
+    fleet: Fleet,
+    radio: Radio,
+    topology: Topology,
+    t: Array,
+    lost: Booleans | None,
+    trouble: Trouble | None,
+) -> _Sight:
     """What the nodes measure at a chunk of epochs, in level frames at the fleet's centre."""
     x_e, v_e = fleet.at(t)
     lla = earth.lla_from_ecef(x_e)
@@ -143,6 +165,9 @@ def _seen(fleet: Fleet, radio: Radio, topology: Topology, t: Array, lost: Boolea
     centre = fleet.centre(t)
     centre_e, C_en = earth.ecef_from_lla(centre), earth.C_en(centre[:, 0], centre[:, 1])
     believed_x, believed_v = fleet.believed(t, x_e, v_e)
+    if trouble is not None:
+        believed_x += trouble.lies.positions_n(t) @ C_en.transpose(0, 2, 1)
+        ranging = ranging & ~trouble.silenced[i] & ~trouble.silenced[j]
     R_N, R_E = earth.radii_of_curvature(centre[0, 0])
     epochs = Epochs(
         t=t,

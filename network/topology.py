@@ -45,7 +45,7 @@ def draw_topology(
     """
     x_e, _ = fleet.at(time)
     distance = np.linalg.norm(x_e[:, :, None] - x_e[:, None], axis=-1)
-    linked = radio.linked(distance)
+    linked = radio.linked(distance, radio.lost_decades(time, x_e))
     s, n = x_e.shape[:2]
     if settings.kind != "leach":
         return Topology(time, distance, linked, linked, np.zeros((s, n), np.bool_))

@@ -174,10 +174,8 @@ class Tracker:
                 out,
             )
         self._t = float(epochs.t[-1])
-        seen = None
-        if self._settings.quarantine is not None:
-            at = epochs.t, terms, states, cov, shared, self._started.copy()
-            seen = Evidence(*at, w_range, w_rate, epochs.ranges, epochs.rates, heights)
+        solved = epochs.t, terms, states, cov, shared, self._started.copy()
+        seen = Evidence(*solved, w_range, w_rate, epochs.ranges, epochs.rates, heights)
         own_cov, cov, shared = (
             part[:, self._kinematic][:, :, self._kinematic] for part in (own_cov, cov, shared)
         )
