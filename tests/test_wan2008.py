@@ -6,9 +6,8 @@ from fleetalign.cosim.mistakes import told_mistakes
 from fleetalign.cosim.papers.results import Form, Verdict
 from fleetalign.cosim.papers.scenario import PaperScenario
 from fleetalign.cosim.papers.wan2008 import study
-from fleetalign.cosim.papers.wan2008_claims import _equal
 from fleetalign.cosim.papers.wan2008_costs import dense_multiplications
-from fleetalign.cosim.papers.wan2008_runs import Cell, draw_network, quoted_cells
+from fleetalign.cosim.papers.wan2008_runs import Cell, draw_network
 from fleetalign.cosim.papers.wan2008_settings import Refinement
 from fleetalign.network.localization.problem import LocalizationError
 from pydantic import ValidationError
@@ -58,23 +57,6 @@ def test_claims_have_verdicts_from_the_numbers(results):
     assert claims["2.2.3"].verdict is Verdict.UNDECIDED
 
 
-def test_forms_are_judged_by_filters_that_ended_and_by_whole_intervals():
-    cells = quoted_cells(SMALL)
-    spread = 0.01 * np.random.default_rng(0).standard_normal(40)
-
-    def judged(ratio):
-        def rows(level):
-            return np.tile(level * (1 + spread)[:, None], (1, 6))
-
-        at = {"distributed": rows(9.0), "central": rows(1.0), "central_long": rows(1.0)}
-        at["distributed_long"] = np.tile(ratio * (1 - spread)[:, None], (1, 6))
-        return _equal(SMALL, dict.fromkeys(cells, at)).verdict
-
-    assert judged(1.0) is Verdict.REPRODUCED
-    assert judged(1.1) is Verdict.UNDECIDED
-    assert judged(1.2) is Verdict.NOT
-
-
 def test_costs_grow_as_counted(results):
     cost = {row.method: row.values for row in {t.name: t for t in results.tables}["cost"].rows}
     for method, exponent in (
@@ -118,7 +100,7 @@ def test_a_disconnected_network_is_refused_where_that_is_asked_for():
         ({"judged_error_share": 0.07}, "judged_error_share = 0.07 must be one of range_error_shares"),
         ({"connectivities": [9.0, 6.0]}, "connectivities = [9, 6]: must increase"),
         ({"connectivities": [6.0]}, "connectivities = [6]: 2 to 8 values are allowed"),
-        ({"range_error_shares": [-0.02, 0.05]}, "range_error_shares.0 = -0.02: Input should be greater"),
+        ({"range_error_shares": [-0.02, 0.05]}, "range_error_shares.0 = -0.02: allowed is [0.001, 0.5]"),
         ({"beacon_shares": [0.05, 0.1, 0.5]}, "beacon_shares = [0.05, 0.1, 0.5]: one must lie between"),
     ],
 )

@@ -185,7 +185,7 @@ def _saturation(settings: Refinement, found: Found) -> Claim:
     told: list[str] = []
     for degree in settings.connectivities:
         few, some, many = (100 * found[Cell(degree, s)]["dv"][:, ERROR] for s in (low, middle, high))
-        held.append(below(statistics.mean_ratio(some - many, few - some), 0.1))
+        held.append(below(statistics.mean(some - many - 0.1 * (few - some)), 0))
         means = ", ".join(f"{values.mean():.0f}" for values in (few, some, many))
         told.append(f"connectivity {degree:g}: {means} %")
     return Claim(
