@@ -38,7 +38,10 @@ from matplotlib.figure import Figure
 def flight_cache(tmp_path_factory):
     """Flights are kept for this run of the tests alone, so that none rests on an older flight."""
     previous = os.environ.get("FLEETALIGN_CACHE")
-    folder = tmp_path_factory.mktemp("flights")
+    base = tmp_path_factory.getbasetemp()
+    # Side by side, all workers share them: their folders stand in that of the run.
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "flights"
+    folder.mkdir(exist_ok=True)
     os.environ["FLEETALIGN_CACHE"] = str(folder)
     yield folder
     if previous is None:

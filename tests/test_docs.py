@@ -89,9 +89,9 @@ def test_setup_and_use_stand_in_the_readme_as_they_are_run():
     script = (ROOT / ".ci" / "run").read_text("utf-8")
     assert shell == [
         "python -m pip install . && fleetalign run",
-        'python -m pip install ".[test]" && python -m pytest',
+        'python -m pip install ".[test]" && python -m pytest -n auto',
     ]
-    assert 'python -m pip install --quiet ".[test]" && python -m pytest' in script
+    assert 'python -m pip install --quiet ".[test]" && python -m pytest -n auto' in script
     assert re.search(r"python -m pip install --quiet \. && .*fleetalign run", script)
 
 
