@@ -7,7 +7,7 @@ import pytest
 from fleetalign.align.consistency import chi_square_quantile, nees
 from fleetalign.align.estimate import FixOutcome, RunOutcome
 from fleetalign.align.filters import FILTERS, align
-from fleetalign.align.reception import finite_increments, received
+from fleetalign.align.reception import received
 from fleetalign.align.settings import DelayModel
 from fleetalign.cosim.run import simulate
 from fleetalign.cosim.scenario import replaced
@@ -61,20 +61,6 @@ def test_a_gap_in_the_imu_leaves_an_honest_covariance(alone, window, samples):
         assert estimate.outcome is RunOutcome.ALIGNED
         errors.append(final_nees(estimate, window))
     assert np.mean(errors) < chi_square_quantile(0.9999, 18) / 6
-
-
-def test_a_gap_is_bridged_by_the_mean_before_it():
-    increments = np.arange(60.0).reshape(10, 6)
-    increments[5:7, 2] = np.inf
-    increments[9, 0] = np.nan
-    bridged, variance, held = finite_increments(increments, 0.01)
-    assert held == 3
-    np.testing.assert_array_equal(bridged[5], increments[:5].mean(axis=0))
-    np.testing.assert_array_equal(bridged[6], bridged[5])
-    assert np.isfinite(bridged).all()
-    # The variances of a gap of two samples add up to those of its whole length.
-    np.testing.assert_allclose(np.sqrt(variance[5:7].sum(axis=0)), [0.5 * 10 * 0.02**2, 0.5 * 0.5 * 0.02**2])
-    assert not variance[[0, 4, 7, 8]].any()
 
 
 def test_attitude_is_carried_to_a_late_first_fix(alone, window):
