@@ -38,7 +38,7 @@ def campaign(
     done_by = partial(on_cluster, scheduler=scheduler, workers=workers) if dask else locally
     total = plan.settings.runs * len(plan.coordinates)
     try:
-        with progress_bar("campaign", silent) as progress:
+        with progress_bar("campaign", silent, "runs") as progress:
             run_campaign(plan, ledger, done_by, progress)
     except (OSError, KeyboardInterrupt) as error:
         kept = sum(shard.runs for shard in ledger.done)

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 from rich.text import Text
 
@@ -40,15 +49,33 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, before)
 
 
+class _Rate(ProgressColumn):
+    """How many of a unit are done a second, of late."""
+
+    def __init__(self, unit: str) -> None:
+        super().__init__()
+        self._unit = unit
+
+    def render(self, task: Task) -> Text:
+        """The text of a bar."""
+        return Text("" if not task.speed else f"{task.speed:.3g} {self._unit}/s")
+
+
 @contextmanager
-def progress_bar(what: str, silent: bool) -> Iterator[Callable[[float, float], None]]:
+def progress_bar(
+    what: str, silent: bool, unit: str | None = None
+) -> Iterator[Callable[[float, float], None]]:
     """A progress bar on the terminal's error stream; call what it yields with (done, total).
 
-    Where that is no terminal there is none: in a file it would be blank lines.
+    ``unit`` is that of the two: with it their numbers are shown, and how many are done a second. Where that
+    is no terminal there is none: in a file it would be blank lines.
     """
     silent = silent or not error_console.is_terminal
-    columns = TextColumn("{task.description:22}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=error_console, disable=silent, transient=True) as bar:
+    columns: list[ProgressColumn] = [TextColumn("{task.description:22}"), BarColumn()]
+    if unit:
+        columns += [MofNCompleteColumn(), _Rate(unit)]
+    times = TimeElapsedColumn(), TimeRemainingColumn()
+    with Progress(*columns, *times, console=error_console, disable=silent, transient=True) as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
