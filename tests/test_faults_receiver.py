@@ -1,0 +1,333 @@
+"""What the receiver survives: no fixes, false ones, late ones, copies."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from fleetalign.aircraft.cache import cached_flight
+from fleetalign.align.consistency import mean_band
+from fleetalign.align.estimate import JUMP_SIGMAS, FixOutcome, NavStatus, RunOutcome
+from fleetalign.align.methods import METHODS, estimate
+from fleetalign.align.problem import status_of
+from fleetalign.cosim.resampling import paired_ratios
+from fleetalign.cosim.run import alignment_window, generator, simulate, simulate_all
+from fleetalign.cosim.scenario import load_scenario, replaced
+from fleetalign.cosim.score import Scorer
+from fleetalign.network.fixes import concatenate
+from fleetalign.network.packet_faults import PacketFaults, faulty, outliers
+from fleetalign.sins import attitude, earth
+
+RUNS, FEW = 100, 20
+VIBRATION_MPS = 0.01
+JUDGED = ("ekf_stamped", "l2linf")
+HISTORY = (
+    "lla",
+    "v_n",
+    "q_nb",
+    "accel_bias",
+    "gyro_bias",
+    "delay",
+    "sd",
+    "misalignment_cov",
+    "status",
+    "jump",
+)
+
+
+def with_filters(scenario, names=JUDGED, **changes):
+    dotted = {name.replace("__", "."): value for name, value in changes.items()}
+    return replaced(scenario, {"alignment.filters": list(names), **dotted})
+
+
+def again(scenario, window, run, fixes, name, **settings):
+    """Align anew by a method on a run's data, with other fixes."""
+    told = scenario.alignment.settings.model_copy(update=settings)
+    record = (run.imu.time, run.imu.dtheta_b, run.imu.dv_b, run.q_nb_coarse, fixes)
+    return estimate(name, *record, told, scenario.imu, window.gravity)
+
+
+@pytest.fixture(scope="module")
+def faults():
+    return load_scenario("faults")[1]
+
+
+# Outage
+
+
+def unflagged_jumps(found, window):
+    """Rows whose error is more than three standard deviations of the row before from that row's error: how
+    many of them no flag tells, and how many there are. Velocity jitters by the vibration: six of its standard
+    deviations between two rows are no correction. All else moves by corrections, but for some 1e-3 sigmas."""
+    rows = np.searchsorted(window.time, found.time - 0.5 * window.dt)
+    errors = np.hstack(
+        [
+            earth.displacement_n(found.lla, window.lla[rows]),
+            found.v_n - window.v_n[rows],
+            attitude.misalignment(found.q_nb, window.q_nb[rows]),
+        ]
+    )
+    moved = np.abs(np.diff(errors, axis=0))
+    jitter = np.repeat([0.0, 6 * np.sqrt(2) * VIBRATION_MPS, 0.0], 3)
+    beyond = (moved > JUMP_SIGMAS * found.sd[:-1, :9] + jitter).any(axis=1)
+    return int(np.count_nonzero(beyond & ~found.jumped[1:])), int(np.count_nonzero(beyond))
+
+
+@pytest.fixture(scope="module")
+def outage(faults):
+    """Scores of the runs over an outage of 60 s across the S, when the status said so, and jumps."""
+    scenario = with_filters(faults.variant("outage of 60 s across the S"))
+    flight = cached_flight(scenario.flight)[0]
+    window = alignment_window(scenario, flight)
+    scorer = Scorer(window, JUDGED)
+    told, jumps = {name: [] for name in JUDGED}, []
+    for run in simulate_all(scenario, flight, RUNS, scenario.seed):
+        scorer.add(run)
+        for name, found in run.estimates.items():
+            told[name].append(found.status)
+            jumps.append(unflagged_jumps(found, window))
+    return scenario.outages[0], scorer.scores(), {n: np.stack(s) for n, s in told.items()}, np.array(jumps)
+
+
+@pytest.mark.parametrize("name", JUDGED)
+def test_outage_is_told_and_its_end_too(outage, name):
+    gap, scores, told, _ = outage
+    time = scores[name].time
+    alone = told[name] == NavStatus.DEAD_RECKONING
+    # The last fix arrives up to 50 ms after the outage's begin, the first again 0 to 50 ms after its end.
+    first, last = time[alone.argmax(axis=1)], time[len(time) - 1 - alone[:, ::-1].argmax(axis=1)]
+    assert (first >= gap.start_s + 2.8).all()
+    assert (first <= gap.start_s + 5).all()
+    assert (np.abs(last - gap.end_s) < 0.2).all()
+    assert (told[name][:, time > gap.end_s + 0.2] == NavStatus.AIDED).all()
+
+
+@pytest.mark.parametrize("name", JUDGED)
+def test_covariance_is_honest_at_the_end_of_an_outage_and_after(outage, name):
+    """99.9 % bands, for there are eight of them; that of the position by the spread of the runs: its NEES
+    leaves correlations out."""
+    gap, scores, _, _ = outage
+    score = scores[name]
+    assert score.failures == {}
+    low, high = mean_band(3, RUNS, 0.999)
+    for after_s in (-0.05, 30.0):
+        row = int(np.searchsorted(score.time, gap.end_s + after_s - 1e-6)) - (after_s < 0)
+        assert low < score.mean_nees[row] < high
+        position = score.position_nees[:, row]
+        assert abs(position.mean() - 3) < 3.3 * position.std() / np.sqrt(RUNS)
+    grown = np.sqrt(np.mean(np.sum(score.position_errors[:, row - 301] ** 2, axis=1)))
+    assert grown > 1.5  # or there was no outage
+
+
+@pytest.mark.parametrize("name", JUDGED)
+def test_errors_are_within_the_limits_30_s_after_an_outage(outage, name):
+    gap, scores, _, _ = outage
+    score = scores[name]
+    row = np.searchsorted(score.time, gap.end_s + 30)
+    assert score.rms[row, :2].max() < 60
+    assert score.rms[row, 2] < 5
+
+
+def test_no_jump_of_an_outage_is_unflagged(outage):
+    unflagged, _ = outage[3].sum(axis=0)
+    assert unflagged == 0
+
+
+@pytest.mark.parametrize("name", ["ekf_stamped", "l2linf", "srckf_stamped"])
+def test_a_restart_is_a_jump_and_is_flagged(stated, flight, window, name):
+    """Position and velocity of all fixes after 20 s are 3 km off: they are refused, and then believed."""
+    scenario = with_filters(stated, [name])
+    run = simulate(scenario, flight, 0, 1)
+    off = run.fixes.t_valid > window.time[0] + 20
+    lla = np.where(
+        off[:, None], earth.displaced(run.fixes.lla, np.tile([3000.0, 0, 0], (len(off), 1))), run.fixes.lla
+    )
+    found = again(scenario, window, run, replace(run.fixes, lla=lla), name)
+    assert found.count(FixOutcome.INITIALIZED) == 2
+    unflagged, jumps = unflagged_jumps(found, window)
+    assert jumps > 0
+    assert unflagged == 0
+    restart = np.flatnonzero(found.fix_outcome == FixOutcome.INITIALIZED)[1]
+    assert found.fix_jump[restart] > 1000
+    assert np.isnan(found.fix_jump[0])
+    clean = run.estimates[name]
+    assert np.nanmax(clean.jump) < 4  # of 4,000 corrections, one beyond 3.7 is due
+
+
+def test_status_is_of_what_arrived_and_not_of_what_was_done_again(stated, flight, window):
+    """Fixes of 1 s that arrive 1.9 s late: between, the filter was alone for 1.9 s, whatever it knows now."""
+    scenario = with_filters(stated, ["ekf_stamped"])
+    run = simulate(scenario, flight, 0, 1)
+    start = window.time[0]
+    late = (run.fixes.t_valid > start + 20) & (run.fixes.t_valid < start + 30)
+    arrival = np.where(late, run.fixes.t_valid + 1.9, run.fixes.t_arrival)
+    fixes = replace(run.fixes, t_arrival=arrival)
+    found = again(scenario, window, run, fixes, "ekf_stamped", dead_reckoning_after_s=1.0)
+    since = found.time - start
+    alone = since[found.status == NavStatus.DEAD_RECKONING]
+    assert abs(alone[0] - 21.05) < 0.15
+    assert abs(alone[-1] - 21.9) < 0.2
+    np.testing.assert_array_equal(found.q_nb[-1], run.estimates["ekf_stamped"].q_nb[-1])
+
+
+# A design takes ten seconds: tests of the designed filters see to their status.
+@pytest.mark.parametrize("name", [name for name in METHODS if "lmi" not in name])
+def test_every_method_has_a_status(stated, flight, window, name):
+    scenario = with_filters(stated, ["ekf"], outages=[{"start_s": 10.0, "duration_s": 10.0}])
+    run = simulate(scenario, flight, 0, 1)
+    fixes = run.fixes[run.fixes.t_valid > window.time[0] + 1]
+    found = again(scenario, window, run, fixes, name)
+    since = found.time - window.time[0]
+    assert (found.status[since < 0.95] == NavStatus.NOT_STARTED).all()
+    alone = found.status == NavStatus.DEAD_RECKONING
+    assert alone[(since > 13.1) & (since < 19.9)].all()
+    assert not alone[(since < 12.7) | (since > 20.2)].any()
+    assert set(found.status[since > 1.2]) == {NavStatus.AIDED, NavStatus.DEAD_RECKONING}
+
+
+def test_status_at_the_edges():
+    time = np.arange(6.0)
+    found = status_of(time, np.array([1.0, 2.0]), after_s=2.0)
+    assert found.tolist() == [NavStatus.NOT_STARTED, *[NavStatus.AIDED] * 4, NavStatus.DEAD_RECKONING]
+    assert set(status_of(time, np.empty(0), 2.0)) == {NavStatus.NOT_STARTED}
+
+
+# Outliers
+
+
+@pytest.fixture(scope="module")
+def false_fixes(stated, flight, window):
+    """Scores without and with a tenth of the packets false, and counts of what became of both kinds."""
+    scores, counts = [], {name: np.zeros((2, 2)) for name in JUDGED}
+    for share in (0.0, 0.1):
+        scenario = with_filters(stated, faults__packets__outlier_share=share)
+        scorer = Scorer(window, JUDGED)
+        for run in simulate_all(scenario, flight, RUNS, 1):
+            scorer.add(run)
+            for name, found in run.estimates.items() if share else ():
+                arrived = found.fix_outcome != FixOutcome.PENDING
+                for kind in (False, True):
+                    of_kind = arrived & (run.outlier == kind)
+                    refused = of_kind & (found.fix_outcome == FixOutcome.GATED)
+                    counts[name][int(kind)] += refused.sum(), of_kind.sum()
+        scores.append(scorer.scores())
+    return scores, counts
+
+
+@pytest.mark.parametrize("name", JUDGED)
+def test_outliers_are_refused_and_the_good_are_not(false_fixes, name):
+    """A tenth of the runs starts from an outlier, which costs it the 20 fixes of `restart_after_gated`."""
+    (good_refused, good), (false_refused, false) = false_fixes[1][name]
+    assert abs(false / (false + good) - 0.1) < 4 * np.sqrt(0.09 / (false + good))
+    assert false_refused / false >= 0.99
+    assert good_refused / good < 0.01
+
+
+@pytest.mark.parametrize("name", JUDGED)
+def test_outliers_cost_less_than_a_fifth(false_fixes, name):
+    clean, spoilt = (scores[name] for scores in false_fixes[0])
+    assert spoilt.failures == {}
+    for ratio, low, high in paired_ratios(spoilt.errors[:, -1], clean.errors[:, -1]).values():
+        assert ratio <= 1.2
+        assert low < 1.2 < 1.3 * ratio
+        assert high < 1.25
+
+
+def test_who_was_false_is_known_to_the_score_alone(stated, flight):
+    scenario = with_filters(stated, ["ekf"], faults__packets__outlier_share=0.1, faults__packets__copies=2)
+    run = simulate(scenario, flight, 3, 1)
+    true_lla, true_v_n, _ = flight.at(run.fixes.t_valid)
+    aside = np.linalg.norm(earth.displacement_n(run.fixes.lla, true_lla), axis=1)
+    faster = np.linalg.norm(run.fixes.v_n - true_v_n, axis=1)
+    assert 40 < run.outlier.sum() < 140
+    # 10 m and 0.1 m/s in each axis beside 100 m and 10 m/s: five standard deviations apart on either side.
+    np.testing.assert_array_equal(run.outlier, aside > 55)
+    np.testing.assert_array_equal(run.outlier, faster > 5)
+
+
+# Order, copies
+
+
+def befallen(run, clean, run_id=0, **faults):
+    """The fixes of a run as these faults would have them."""
+    return faulty(clean, PacketFaults(**faults), generator(1, run_id, "packet faults"))
+
+
+def out_of_order(run, window, run_id):
+    """A fifth of the fixes up to 2 s late, all that come late before the end of the record."""
+    last = run.fixes.t_valid >= window.time[-1] - 2.1
+    mixed = befallen(run, run.fixes[~last], run_id, detour_share=0.2, detour_max_s=2.0)
+    assert (np.diff(mixed.sequence) < 0).sum() > 20
+    return concatenate([mixed, run.fixes[last]])
+
+
+@pytest.mark.parametrize("name", ["ekf_stamped", "ckf_stamped"])
+def test_out_of_order_is_as_sorted(stated, flight, window, name):
+    """100 runs; the cubature filter, ten times as slow, 2. Detours reach 2.05 s back, with the delay."""
+    scenario = with_filters(stated, [name], alignment__settings__horizon_s=2.1)
+    for run_id in range(RUNS if name in JUDGED else 2):
+        run = simulate(scenario, flight, run_id, 1)
+        mixed = out_of_order(run, window, run_id)
+        a, b = run.estimates[name], again(scenario, window, run, mixed, name)
+        assert b.count(FixOutcome.LATE) == 0
+        assert a.count(FixOutcome.FUSED) == b.count(FixOutcome.FUSED) > 350
+        for column in ("lla", "v_n", "q_nb", "accel_bias", "gyro_bias", "sd", "misalignment_cov"):
+            one, other = getattr(a, column)[-1], getattr(b, column)[-1]
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(one).max())
+
+
+@pytest.mark.parametrize("name", JUDGED)
+def test_what_is_too_late_is_counted_and_left_out(stated, flight, window, name):
+    """Beyond the horizon with stamps; without them, a packet that another of its source has overtaken."""
+    scenario = with_filters(stated, [name], alignment__settings__horizon_s=1.0)
+    for run_id in range(FEW):
+        run = simulate(scenario, flight, run_id, 1)
+        mixed = out_of_order(run, window, run_id)
+        found = again(scenario, window, run, mixed, name)
+        too_late = found.fix_outcome == FixOutcome.LATE
+        if name == "ekf_stamped":
+            old = mixed.t_arrival - mixed.t_stamp
+            assert too_late[old > 1.02].all()
+            assert not too_late[old < 0.99].any()
+        else:
+            arrived = mixed.t_arrival <= window.time[-1]
+            overtaken = mixed.sequence < np.maximum.accumulate(mixed.sequence)
+            np.testing.assert_array_equal(too_late, arrived & overtaken)
+        assert too_late.sum() > 10
+        assert found.count(FixOutcome.PENDING) < 3
+        without = again(scenario, window, run, mixed[~too_late], name)
+        for column in HISTORY:
+            np.testing.assert_array_equal(getattr(found, column), getattr(without, column))
+
+
+@pytest.mark.parametrize("name", ["ekf", "ekf_stamped", "l2linf", "ckf_stamped"])
+def test_copies_change_nothing(stated, flight, window, name):
+    scenario = with_filters(stated, [name])
+    for run_id in range(RUNS if name in JUDGED else 2):
+        run = simulate(scenario, flight, run_id, 1)
+        copied = befallen(run, run.fixes, run_id, copies=3)
+        assert len(copied) == 3 * len(run.fixes)
+        found, clean = again(scenario, window, run, copied, name), run.estimates[name]
+        for column in HISTORY:
+            np.testing.assert_array_equal(getattr(found, column), getattr(clean, column))
+        _, first = np.unique(copied.sequence, return_index=True)
+        np.testing.assert_array_equal(found.fix_outcome[first], clean.fix_outcome)
+        rest = np.delete(found.fix_outcome, first)
+        pending = np.delete(copied.t_arrival, first) > window.time[-1]
+        assert set(rest[~pending]) == {FixOutcome.DUPLICATE}
+        assert found.outcome is RunOutcome.ALIGNED
+
+
+def test_effects_are_drawn_apart(stated, flight):
+    clean = simulate(with_filters(stated, ["ekf"]), flight, 0, 1).fixes
+    draw = partial(befallen, None, clean)
+    assert draw() is clean
+    one, all_ = draw(outlier_share=0.1), draw(outlier_share=0.1, detour_share=0.5, copies=2)
+    rng = partial(generator, 1, 0, "packet faults")
+    a = outliers(one, PacketFaults(outlier_share=0.1), rng())
+    b = outliers(all_, PacketFaults(outlier_share=0.1, detour_share=0.5, copies=2), rng())
+    assert set(one.sequence[a]) == set(all_.sequence[b])
+    rows = [np.flatnonzero(all_.sequence == s)[0] for s in one.sequence]
+    np.testing.assert_array_equal(all_.lla[rows], one.lla)
+    np.testing.assert_array_equal(all_.v_n[rows], one.v_n)
+    assert not outliers(clean, PacketFaults(copies=2), rng()).any()
