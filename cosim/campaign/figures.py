@@ -6,6 +6,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from ..drawing import STYLE, legend, log_scale, panels, svg
 from ..palette import filter_color
@@ -74,6 +75,7 @@ def _nees(summary: CampaignSummary) -> Figure:
         _band(ax, scores)
     ax.axhline(3.0, color="black", linewidth=0.8)
     ax.set(xlabel="point", ylabel="NEES, of 3")
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     log_scale(ax)
     legend(figure, ax)
     return figure
