@@ -138,7 +138,7 @@ class NetworkScorer:
         # mrad between them, which a quadratic form does not feel.
         own_nees = nees(error, cov)
         arrived = record.delay[np.isfinite(record.delay)]
-        located = record.outcome == NodeOutcome.LOCATED
+        located = (record.outcome == NodeOutcome.LOCATED) & ~record.anchor
         squares = [np.sum(x[located] ** 2) for x in (record.error_n, record.sd_n)]
         sums = np.array([located.sum(), (~record.anchor).sum() * len(record.time), *squares])
         fates = np.bincount(record.fate, minlength=len(FixFate))

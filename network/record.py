@@ -41,6 +41,8 @@ class QuarantineReason(IntEnum):
     """Others' ranges contradict where this anchor says it is, or what its clock shows: that is not used."""
     RANGES = 2
     """Its ranges are too long or too short for wherever it may be: they are not used."""
+    START = 3
+    """This anchor was a suspect when nodes were located from nothing, and stands back until it is none."""
 
 
 @dataclass(frozen=True)

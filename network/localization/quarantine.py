@@ -93,94 +93,98 @@ class Monitor:
         self._chance = settings.false_alarms_per_hour / tests
         self._forget()
 
-    @property
-    def disbelieved(self) -> Booleans:
-        """(n,) anchors that are not asked where they are."""
-        return self.reason == QuarantineReason.BELIEF
-
-    @property
-    def silenced(self) -> Booleans:
-        """(n,) nodes whose ranges are not used."""
-        return self.reason == QuarantineReason.RANGES
-
     def judge(self, seen: Evidence) -> Found | None:
         """The first node that is found out, and the epoch; what came after it is then not looked at.
 
         Its epoch is to be solved again, without it.
         """
-        shift, bias = _gradients(seen), _biases(seen)
+        self._note_suspects(seen)
         fallible = self._anchor & seen.started & (self.reason == QuarantineReason.NONE)
-        if (
-            2 * np.count_nonzero(self._anchor & (self.reason != QuarantineReason.NONE)) + 2
-            > self._anchor.sum()
-        ):
+        left_out = np.count_nonzero(self._anchor & (self.reason != QuarantineReason.NONE))
+        if 2 * (left_out + 1) >= self._anchor.sum():
             fallible[:] = False
-        anchors = np.flatnonzero(fallible)
+        disbelieved = self.reason == QuarantineReason.BELIEF
+        judged = (fallible | disbelieved | ~self._anchor) & (self.reason != QuarantineReason.RANGES)
+        judged[OWN_SHIP] = False
+        new = len(seen.t)
+        self._shifts = np.concatenate([self._shifts.reshape(-1, *seen.states.shape[1:]), _gradients(seen)])
+        self._biases = np.concatenate([self._biases.reshape(-1, len(self._anchor)), _biases(seen)])
         limits = np.sqrt(chi2.isf(self._chance, seen.states.shape[2])), norm.isf(self._chance / 2)
-        for epoch in range(len(seen.t)):
-            self._shifts.append(shift[epoch])
-            self._biases.append(bias[epoch])
-            longest = self._windows[-1]
-            del self._shifts[:-longest], self._biases[:-longest]
-            excess = np.stack(
-                [
-                    self._belief_excess(seen, anchors) / limits[0],
-                    self._range_excess(fallible | ~self._anchor) / limits[1],
-                ]
-            )
-            if excess.max(initial=0.0) > 1:
-                kind, node = np.unravel_index(np.argmax(excess), excess.shape)
-                found = Found(epoch, int(node), QuarantineReason(int(kind) + 1))
-                self.since_s[node], self.reason[node] = seen.t[epoch], found.reason
-                # What was seen of others had its lies in it.
-                self._forget()
-                return found
-        return None
+        excess = np.zeros((new, 2, len(self._anchor)))
+        for window in self._windows:
+            share = self._constant + (1 - self._constant) / window
+            rows = slice(max(new - max(len(self._shifts) - window + 1, 0), 0), None)
+            mean = _means(self._shifts, window, new)
+            of_belief = _belief_excess(seen, np.flatnonzero(fallible), mean, share) / limits[0]
+            excess[rows, 0] = np.maximum(excess[rows, 0], of_belief)
+            of_ranges = _range_excess(_means(self._biases, window, new) / np.sqrt(share)) / limits[1]
+            excess[rows, 1] = np.maximum(excess[rows, 1], of_ranges * judged)
+        self._shifts, self._biases = (
+            rows[-(self._windows[-1] - 1) :] for rows in (self._shifts, self._biases)
+        )
+        over = np.flatnonzero(excess.max(axis=(1, 2)) > 1)
+        if not len(over):
+            return None
+        epoch = int(over[0])
+        # False ranges pull anchors, too; where an anchor says it is pulls no more than one range of a node.
+        of_belief, of_ranges = excess[epoch]
+        if of_ranges.max() > 1:
+            found = Found(epoch, int(np.argmax(of_ranges)), QuarantineReason.RANGES)
+        else:
+            found = Found(epoch, int(np.argmax(of_belief)), QuarantineReason.BELIEF)
+        node = found.node
+        self.since_s[node] = np.fmin(self.since_s[node], seen.t[epoch])
+        self.reason[node] = found.reason
+        # What was seen of others had its lies in it.
+        self._forget()
+        return found
+
+    def _note_suspects(self, seen: Evidence) -> None:
+        """Anchors that the start left out: the tracker asks them back once they are beyond suspicion."""
+        standing_back = self._anchor & ~seen.started & (self.reason == QuarantineReason.NONE)
+        asked_back = seen.started & (self.reason == QuarantineReason.START)
+        self.reason[standing_back], self.since_s[standing_back] = QuarantineReason.START, seen.t[0]
+        self.reason[asked_back], self.since_s[asked_back] = QuarantineReason.NONE, np.nan
 
     def _forget(self) -> None:
-        self._shifts: list[Array] = []
-        self._biases: list[Array] = []
+        self._shifts, self._biases = np.zeros(0), np.zeros(0)
 
-    def _belief_excess(self, seen: Evidence, anchors: Integers) -> Array:
-        """(n,) distance of anchors' beliefs from where others have them, in standard deviations of B numbers
-        together, the greatest of all windows."""
-        excess = np.zeros(len(self._anchor))
-        if not len(anchors):
-            return excess
-        w = seen.terms.w_prior[anchors]
-        R = np.einsum("ab,bc->abc", 1 / w, np.eye(w.shape[1]))
-        P, shared = seen.cov[anchors], seen.shared[anchors]
-        constant, noise = R - 2 * P + shared, P - shared
-        for window in self._windows:
-            recent = np.array(self._shifts[-window:])[:, anchors]
-            if len(recent) < window:
-                continue
-            mean = recent.mean(axis=0) / w
-            share = self._constant + (1 - self._constant) / window
-            # In standard deviations of the belief: the numbers of a state differ in size.
-            cov = (constant + share * noise) * np.sqrt(w[:, :, None] * w[:, None])
-            scaled = mean * np.sqrt(w)
-            with np.errstate(invalid="ignore"):
-                square = np.einsum("ab,ab->a", scaled, np.linalg.solve(cov, scaled[..., None])[..., 0])
-            excess[anchors] = np.fmax(excess[anchors], np.sqrt(np.maximum(square, 0.0)))
-        return excess
 
-    def _range_excess(self, judged: Booleans) -> Array:
-        """(n,) bias of nodes' ranges in standard deviations, against that of all nodes, the greatest of all
-        windows."""
-        excess = np.zeros(len(judged))
-        for window in self._windows:
-            recent = np.array(self._biases[-window:])
-            known = np.isfinite(recent).all(axis=0) if len(recent) == window else np.zeros(len(judged), bool)
-            if known.sum() < _LEAST_NODES:
-                continue
-            mean = recent[:, known].mean(axis=0) / np.sqrt(self._constant + (1 - self._constant) / window)
-            off = mean - np.median(mean)
-            # What befalls all nodes, as detours do that nobody was told of, is no lie of one.
-            excess[known] = np.maximum(excess[known], abs(off) / max(1.0, 1.4826 * np.median(abs(off))))
-        excess[~judged | (self.reason == QuarantineReason.RANGES)] = 0.0
-        excess[OWN_SHIP] = 0.0
-        return excess
+def _means(rows: Array, window: int, most: int) -> Array:
+    """Means over the windows of so many rows that end with the last ``most`` rows; fewer, if rows are. NaN of
+    windows with a NaN in them."""
+    known = np.isfinite(rows)
+    sums, counts = np.cumsum(np.where(known, rows, 0.0), axis=0), np.cumsum(known, axis=0)
+    sums[window:] -= sums[:-window].copy()
+    counts[window:] -= counts[:-window].copy()
+    return np.where(counts == window, sums / window, np.nan)[window - 1 :][-most:]
+
+
+def _belief_excess(seen: Evidence, anchors: Integers, gradient: Array, share: float) -> Array:
+    """(w, n) distance of anchors' beliefs from where others have them, in standard deviations of all numbers
+    of a state together. ``gradient`` (w, n, B) are means, with ``share`` of a single epoch's noise."""
+    excess = np.zeros(gradient.shape[:2])
+    # In standard deviations of the belief: the numbers of a state differ in size.
+    sd = seen.terms.w_prior[anchors] ** -0.5
+    size = sd[:, :, None] * sd[:, None]
+    P, shared = seen.cov[anchors] / size, seen.shared[anchors] / size
+    cov = np.eye(P.shape[1]) - 2 * P + shared + share * (P - shared)
+    scaled = gradient[:, anchors] * sd
+    white = np.linalg.solve(cov, scaled.transpose(1, 2, 0)).transpose(2, 0, 1)
+    excess[:, anchors] = np.sqrt(np.maximum(np.einsum("wab,wab->wa", scaled, white), 0.0))
+    return excess
+
+
+def _range_excess(bias: Array) -> Array:
+    """(w, n) nodes' biases (w, n), in standard deviations, NaN if unknown, against those of all nodes."""
+    known = np.isfinite(bias)
+    enough = known.sum(axis=1) >= _LEAST_NODES
+    excess = np.zeros(bias.shape)
+    off = bias[enough] - np.nanmedian(bias[enough], axis=1, keepdims=True)
+    # What befalls all nodes, as detours do that nobody was told of, is no lie of one.
+    spread = 1.4826 * np.nanmedian(abs(off), axis=1, keepdims=True)
+    excess[enough] = np.nan_to_num(abs(off) / np.maximum(spread, 1.0))
+    return excess
 
 
 def _gradients(seen: Evidence) -> Array:
@@ -207,7 +211,8 @@ def _gradients(seen: Evidence) -> Array:
     pulls[..., V : V + 3] = f2[..., None] * u
     if terms.clocks:
         pulls[..., 3], pulls[..., 7] = f1, f2
-    gradient = np.einsum("kmb,mn->knb", pulls, _ends(i, j, S.shape[1]), optimize=True)
+    pairs, side = _of_nodes(terms.links, S.shape[1])
+    gradient = np.einsum("knpb,np->knb", pulls[:, pairs], side)
     level = terms.curvature * S[..., :2]
     off = seen.heights - (0.5 * np.einsum("kna,kna->kn", level, S[..., :2]) - S[..., 2])
     pull = terms.w_height * off
@@ -233,28 +238,28 @@ def _biases(seen: Evidence) -> Array:
     moves = u * root_w[..., None]
     if terms.clocks:
         moves = np.concatenate([moves, root_w[..., None]], axis=-1)
-    B = moves.shape[2]
     # A bias of a node makes all its ranges longer; what a move makes longer turns with the end.
-    signed = _ends(i, j, n)
-    to = abs(signed)
-    M = np.einsum("kma,kmb,mn->knab", moves, moves, to, optimize=True)
-    c = np.einsum("kma,mn->kna", moves * root_w[..., None], signed, optimize=True)
-    d = np.einsum("kma,mn->kna", moves * residual[..., None], signed, optimize=True)
-    bias2, told = root_w**2 @ to, (root_w * residual) @ to
-    M += 1e-9 * np.einsum("knaa->kn", M)[..., None, None] * np.eye(B) + 1e-30 * np.eye(B)
-    along = np.linalg.solve(M, np.stack([c, d], axis=-1))
-    left2 = bias2 - np.einsum("kna,kna->kn", c, along[..., 0])
-    told -= np.einsum("kna,kna->kn", c, along[..., 1])
+    pairs, side = _of_nodes(terms.links, n)
+    moves, root_w, residual = moves[:, pairs] * side[..., None], root_w[:, pairs], residual[:, pairs]
+    turned = moves.swapaxes(2, 3)
+    M = turned @ moves
+    c, d = (turned @ column[..., None] for column in (root_w, residual))
+    bias2, told = np.sum(root_w**2, axis=2), np.sum(root_w * residual, axis=2)
+    M += (1e-9 * np.trace(M, axis1=2, axis2=3)[..., None, None] + 1e-30) * np.eye(M.shape[2])
+    along = np.linalg.solve(M, c)[..., 0]
+    left2 = bias2 - np.sum(along * c[..., 0], axis=2)
+    told -= np.sum(along * d[..., 0], axis=2)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(left2 > _UNTOLD**2 * bias2, told / np.sqrt(left2), np.nan)
 
 
-def _ends(i: Integers, j: Integers, n: int) -> Array:
-    """(m, n): 1 at the first node of each pair, -1 at the second."""
-    ends = np.zeros((len(i), n))
-    rows = np.arange(len(i))
-    ends[rows, i], ends[rows, j] = 1.0, -1.0
-    return ends
+def _of_nodes(links: Integers, n: int) -> tuple[Integers, Array]:
+    """Pairs (n, n - 1) of each node, all being there, and 1 where it is the first of them, -1 where not."""
+    number = np.zeros((n, n), np.int64)
+    number[links[:, 0], links[:, 1]] = number[links[:, 1], links[:, 0]] = np.arange(len(links))
+    others = ~np.eye(n, dtype=bool)
+    pairs = number[others].reshape(n, n - 1)
+    return pairs, np.where(links[pairs, 0] == np.arange(n)[:, None], 1.0, -1.0)
 
 
 def _sights(S: Array, i: Integers, j: Integers) -> tuple[Array, Array]:

@@ -16,7 +16,9 @@ class WatchedTracker:
 
     def __init__(self, tracker: Tracker, monitor: Monitor) -> None:
         self._tracker, self._monitor = tracker, monitor
-        for node in np.flatnonzero(monitor.reason != QuarantineReason.NONE):
+        for node in np.flatnonzero(
+            np.isin(monitor.reason, (QuarantineReason.BELIEF, QuarantineReason.RANGES))
+        ):
             self._leave_out(int(node), QuarantineReason(monitor.reason[node]))
 
     def advance(self, epochs: Epochs) -> Track:
