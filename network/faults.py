@@ -59,9 +59,13 @@ def drawn(
     fleet: Fleet,
     takeoff_lla: Array,
     start_s: float,
+    one_way: bool,
     rng: Generator,
 ) -> Trouble | None:
-    """Who and what is at fault in a run whose alignment starts at ``start_s``; None where nothing is."""
+    """Who and what is at fault in a run whose alignment starts at ``start_s``; None where nothing is.
+
+    ``one_way`` tells whether clocks are in the ranges: an anchor's that jumps is then a lie.
+    """
     if faults.model_copy(update={"attacks": ()}) == NetworkFaults():
         return None
     anchor = fleet.formation.anchor
@@ -70,6 +74,9 @@ def drawn(
     intruders = faults.wrong_keys.drawn(anchor, keys_rng)
     jumping = zip(faults.clock_jumps, jumps_rng.spawn(len(faults.clock_jumps)), strict=True)
     jumps = tuple((jump, jump.drawn(anchor, child)) for jump, child in jumping)
+    for jump, nodes in jumps:
+        false = nodes[anchor[nodes]] if one_way else nodes[:0]
+        lies.since_s[false] = np.fmin(lies.since_s[false], start_s + jump.at_s)
     silenced = np.zeros(len(anchor), np.bool_)
     silenced[intruders] = authentication is not None
     disturbances = Disturbances(faults.jamming, faults.blocked_side, jumps, lies, fleet, takeoff_lla, start_s)

@@ -91,7 +91,10 @@ def fly_network(
     formation = fleet.formation
     faults_rng, attacks_rng = generator("network faults").spawn(2)
     takeoff_lla = path.truth.at(path.time[:1])[0][0]
-    trouble = drawn(settings.faults, settings.authentication, fleet, takeoff_lla, start_s, faults_rng)
+    one_way = settings.radio.ranging == "one_way"
+    trouble = drawn(
+        settings.faults, settings.authentication, fleet, takeoff_lla, start_s, one_way, faults_rng
+    )
     radio = Radio(
         settings.radio,
         formation.nodes,
