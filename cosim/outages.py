@@ -24,13 +24,13 @@ def outage_rows(scenario: Scenario, score: FilterScore) -> list[dict[str, Any]]:
         }
         rows.append(
             {"start_s": outage.start_s, "duration_s": outage.duration_s}
-            | {name: _three(statistics.rms(values)) for name, values in squares.items()}
-            | {"position_nees": _three(statistics.mean(score.position_nees[:, row]))}
+            | {name: figures_of(statistics.rms(values)) for name, values in squares.items()}
+            | {"position_nees": figures_of(statistics.mean(score.position_nees[:, row]))}
         )
     return rows
 
 
-def _three(value: Value) -> list[float | None]:
+def figures_of(value: Value) -> list[float | None]:
     """The figure and the ends of its interval."""
     return [float(v) if np.isfinite(v) else None for v in (value.value, value.low, value.high)]
 

@@ -11,6 +11,7 @@ from ..align.bound import Knowledge
 from ..align.estimate import Array, FixOutcome
 from ..network.fleet_network import FleetNetwork
 from ..network.record import NetworkRecord
+from .fault_report import fault_rows
 from .figures import BOUND_NAMES, draw_all
 from .network_figures import draw_network
 from .network_report import level, network_tables, variant_rows
@@ -80,6 +81,7 @@ def write_report(
         network=network_tables(summary["network"]) if network is not None else None,
         variants=variant_rows(summary),
         outages=told_outages(summary),
+        faults=fault_rows(summary),
         failures={name: score.failures for name, score in scores.items() if score.failures},
         duration_s=float(window.time[-1] - window.time[0]),
         scenario_text=to_toml(scenario.model_dump(mode="json")),

@@ -55,6 +55,7 @@ def run(
     from ..aircraft.cache import is_cached
     from ..align.bound import Knowledge
     from .bound import BOUND_DRAWS, bounds_of, no_bound_because
+    from .fault_report import told_faults
     from .network_score import NetworkScorer
     from .outages import told_outages
     from .outputs import estimates_writer, manifest, summarize, write_json
@@ -65,7 +66,7 @@ def run(
     from .score import Scorer, standard_deviations
     from .variants import run_variants
 
-    name, content, _ = read_scenario(scenario)
+    read = name, content, _ = read_scenario(scenario)
     if is_paper(content):
         from .papers.command import Asked, study_paper
 
@@ -77,7 +78,7 @@ def run(
         return
     if run_id is not None and (runs is not None or variants):
         raise InputError("--run-id: not beside --runs or --variants")
-    _, settings = loaded(scenario, 1 if run_id is not None else runs, seed, filter_)
+    _, settings = loaded(scenario, 1 if run_id is not None else runs, seed, filter_, read)
     if variants and not settings.variants:
         raise InputError(f"--variants: {scenario} has none")
     folder = output_folder(out or Path(f"fleetalign-{name}"))
@@ -122,7 +123,7 @@ def run(
     summary = summarize(name, settings, settings.seed, flight, scores, bound_sd, network_score)
     if variants and done == settings.runs:
         with progress_bar("variants", silent) as progress:
-            summary["variants"] = run_variants(settings, flight, progress)
+            summary |= run_variants(settings, flight, scores, progress)
     write_json(folder / "summary.json", summary)
     command = command_as_typed()
     about = manifest(name, settings, settings.seed, done, command)
@@ -164,6 +165,8 @@ def run(
                 out_console.print(told, style="red")
         for line in told_outages(summary):
             out_console.print(line)
+        for line in told_faults(summary) if "faults" in summary else ():
+            out_console.print(line, soft_wrap=True)
         for line in settings.paper.remarks if settings.paper else ():
             out_console.print(f"- {line}")
         out_console.print(f"report     {folder / 'report.html'}", soft_wrap=True)

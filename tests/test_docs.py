@@ -138,7 +138,7 @@ def test_summary_has_the_keys_that_the_readme_names(gao2009, flight, window):
         for name, bound in bounds_of(scenario, window, [run.fixes]).items()
     }
     summary = outputs.summarize("x", scenario, 7, flight, scorer.scores(), bounds, network.score())
-    summary["variants"] = run_variants(scenario, flight)
+    summary |= run_variants(scenario, flight, scorer.scores())
     told = set(re.findall(r"`(\w+)`", README.split("`summary.json` has")[1].split("\n## ")[0]))
     one = next(iter(summary["filters"].values()))
     keys = {*summary} - {"bound", "paper"} | set(summary["flight"]) | set(one) | {"ci95"}

@@ -1,0 +1,214 @@
+"""What filters make of faults: who is believed, what the status says, and what it costs, run by run."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..aircraft.flight import Flight
+from ..align.consistency import mean_band
+from ..align.estimate import JUMP_SIGMAS, Array, Estimate, FixOutcome, NavStatus
+from ..network.faults import NetworkFaults
+from ..network.fleet_network import FleetNetwork
+from ..network.record import FaultRecord
+from ..sins import attitude, earth
+from .outages import figures_of
+from .papers import statistics
+from .resampling import paired_ratios
+from .run import Run
+from .scenario import Faults, Scenario
+from .score import FilterScore
+
+AFTER_S = 30.0
+"""After an outage, at which errors are told."""
+_JITTER = 6 * np.sqrt(2)
+"""Standard deviations of the vibration by which the measured velocity may differ from row to row."""
+
+
+def without_faults(scenario: Scenario) -> Scenario:
+    """The scenario as it would be if nothing broke; without its variants."""
+    changes: dict[str, Any] = {"faults": Faults(), "outages": (), "variants": {}}
+    if isinstance(scenario.fixes, FleetNetwork):
+        changes["fixes"] = scenario.fixes.model_copy(update={"faults": NetworkFaults()})
+    return scenario.model_copy(update=changes)
+
+
+def has_faults(scenario: Scenario) -> bool:
+    """Whether anything breaks in it, outages included."""
+    return without_faults(scenario) != scenario.model_copy(update={"variants": {}})
+
+
+def clean_twin(scenario: Scenario, others: Mapping[str, Scenario]) -> str | None:
+    """Name of the scenario that is like this one but for its faults; else of the first without faults that
+    aligns over the same time, or None."""
+    wanted = without_faults(scenario)
+    clean = {name: other for name, other in others.items() if not has_faults(other)}
+    for name, other in clean.items():
+        if without_faults(other) == wanted:
+            return name
+    for name, other in clean.items():
+        mine, its = scenario.alignment, other.alignment
+        if (mine.start, mine.duration_s, mine.filters) == (its.start, its.duration_s, its.filters):
+            return name
+    return None
+
+
+def jumps(estimate: Estimate, truth: Flight, vibration_mps: float) -> tuple[int, int]:
+    """Rows where the error moved by more than `JUMP_SIGMAS` standard deviations of the row before, and how
+    many of them no flag tells.
+
+    What vibration adds to the velocity is no correction. All else moves by corrections, but for little.
+    """
+    rows = np.searchsorted(truth.time, estimate.time - 0.5 * truth.dt)
+    position = earth.displacement_n(estimate.lla, truth.lla[rows])
+    phi = attitude.misalignment(estimate.q_nb, truth.q_nb[rows])
+    errors = np.hstack([position, estimate.v_n - truth.v_n[rows], phi])
+    jitter = np.repeat([0.0, _JITTER * vibration_mps, 0.0], 3)
+    with np.errstate(invalid="ignore"):
+        moved = np.abs(np.diff(errors, axis=0)) > JUMP_SIGMAS * estimate.sd[:-1, :9] + jitter
+    beyond = moved.any(axis=1)
+    return int(beyond.sum()), int((beyond & ~estimate.jumped[1:]).sum())
+
+
+@dataclass
+class FaultScorer:
+    """Gathers runs of one scenario with faults, one by one, for `rows`."""
+
+    scenario: Scenario
+    truth: Flight
+    _counts: dict[str, Counter[str]] = field(default_factory=dict[str, Counter[str]])
+    _told: dict[str, list[Array]] = field(default_factory=dict[str, list[Array]])
+    _records: list[FaultRecord] = field(default_factory=list[FaultRecord])
+
+    def add(self, run: Run) -> None:
+        """Take in one run."""
+        order = np.argsort(run.fixes.t_arrival, kind="stable")
+        outlier = np.zeros(len(run.fixes), bool) if run.outlier is None else run.outlier[order]
+        record = None if run.network is None else run.network.faults
+        if record is not None:
+            self._records.append(record)
+        for name, estimate in run.estimates.items():
+            counts = self._counts.setdefault(name, Counter())
+            outcome = estimate.fix_outcome
+            judged = outcome != FixOutcome.PENDING
+            first = judged & (outcome != FixOutcome.DUPLICATE) & run.fixes.authentic[order]
+            gated, used = outcome == FixOutcome.GATED, _used(outcome)
+            counts["outliers"] += int((first & outlier).sum())
+            counts["outliers_used"] += int((used & outlier).sum())
+            counts["good"] += int((first & ~outlier).sum())
+            counts["good_gated"] += int((gated & ~outlier).sum())
+            counts["late"] += estimate.count(FixOutcome.LATE)
+            counts["duplicates"] += estimate.count(FixOutcome.DUPLICATE)
+            if record is not None:
+                arrival = run.fixes.t_arrival[order]
+                counts["forged_fused"] += int((used & np.isin(arrival, record.forged_arrival)).sum())
+                counts["replayed_fused"] += int((used & np.isin(arrival, record.replayed_arrival)).sum())
+            for kind, number in estimate.imu_samples.items():
+                counts[f"imu_{kind.name.lower()}"] += number
+            total, unflagged = jumps(estimate, self.truth, self.scenario.imu.vibration_mps)
+            counts["jumps"] += total
+            counts["unflagged_jumps"] += unflagged
+            self._told.setdefault(name, []).append(self._alone_after(estimate))
+
+    def _alone_after(self, estimate: Estimate) -> Array:
+        """(outages,) s from the begin of each to where the status says dead reckoning; NaN where it never
+        does."""
+        since = estimate.time - self.truth.time[0]
+        alone = estimate.status == NavStatus.DEAD_RECKONING
+        found = np.full(len(self.scenario.outages), np.nan)
+        for i, outage in enumerate(self.scenario.outages):
+            rows = np.flatnonzero(alone & (since >= outage.start_s) & (since < outage.end_s + 1.0))
+            if len(rows):
+                found[i] = since[rows[0]] - outage.start_s
+        return found
+
+    def rows(self, scores: Mapping[str, FilterScore], clean: Mapping[str, Array] | None) -> dict[str, Any]:
+        """The block of one scenario in ``faults`` of `summary.json`.
+
+        ``scores`` of its runs by filter; ``clean``, final errors (runs, 5) of the same runs without faults.
+        """
+        filters = {name: self._row(name, score, clean) for name, score in scores.items()}
+        network = {"network": network_figures(self._records)} if self._records else {}
+        return {"filters": filters, **network}
+
+    def _row(self, name: str, score: FilterScore, clean: Mapping[str, Array] | None) -> dict[str, Any]:
+        counts, told = self._counts[name], np.stack(self._told[name])
+        ratios = None
+        if clean is not None and name in clean:
+            ratios = paired_ratios(score.errors[:, -1], clean[name])
+        return {
+            "outliers": counts["outliers"],
+            "outliers_rejected": _share(counts["outliers"] - counts["outliers_used"], counts["outliers"]),
+            "good": counts["good"],
+            "good_lost": _share(counts["good_gated"], counts["good"]),
+            "late": counts["late"],
+            "duplicates": counts["duplicates"],
+            "outages": [
+                {"dead_reckoning_after_s": _mean_and_most(told[:, i]), **_over(score, outage.end_s)}
+                for i, outage in enumerate(self.scenario.outages)
+            ],
+            "jumps": counts["jumps"],
+            "unflagged_jumps": counts["unflagged_jumps"],
+            "over_clean": None if ratios is None else {k: _plain(v) for k, v in ratios.items()},
+            "failed_runs": len(score.failures),
+            "failures": dict(Counter(score.failures.values())),
+            "imu_samples": {k.removeprefix("imu_"): n for k, n in counts.items() if k.startswith("imu_")},
+            "forged_fused": counts["forged_fused"],
+            "replayed_fused": counts["replayed_fused"],
+        }
+
+
+def _used(outcome: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return (outcome == FixOutcome.FUSED) | (outcome == FixOutcome.INITIALIZED)
+
+
+def _over(score: FilterScore, end_s: float) -> dict[str, Any]:
+    """What the runs make of an outage: NEES at its end, and errors `AFTER_S` later, if there is so much."""
+    end = max(int(np.searchsorted(score.time, end_s - 1e-6)) - 1, 0)
+    known = int(np.isfinite(score.nees[:, end]).sum())
+    later = int(np.searchsorted(score.time, end_s + AFTER_S - 1e-6))
+    after = None
+    if later < len(score.time):
+        level = float(np.sqrt(np.mean(score.rms[later, :2] ** 2)))
+        values = (level, float(score.rms[later, 2]), float(score.mean_nees[later]))
+        after = dict(zip(("level_arcsec", "heading_arcmin", "nees"), _plain(values), strict=True))
+    return {
+        "nees": _plain([score.mean_nees[end]])[0],
+        "nees_band95": mean_band(3, max(known, 1)),
+        "position_nees": figures_of(statistics.mean(score.position_nees[:, end])),
+        "after_30_s": after,
+    }
+
+
+def network_figures(records: Iterable[FaultRecord]) -> dict[str, Any]:
+    """What the network made of those that lie, over all runs: shares and times of quarantines."""
+    found, lying, false, honest = [], 0, 0, 0
+    for record in records:
+        lies, caught = np.isfinite(record.lying_s), np.isfinite(record.quarantined_s)
+        lying += int(lies.sum())
+        honest += int((~lies).sum())
+        false += int((caught & ~lies).sum())
+        found += list((record.quarantined_s - record.lying_s)[lies & caught])
+    return {
+        "lying": lying,
+        "quarantined": _share(len(found), lying),
+        "quarantined_after_s": _mean_and_most(np.array(found, float)),
+        "false_quarantines": false,
+        "false_share": _share(false, honest),
+    }
+
+
+def _share(part: int, whole: int) -> float | None:
+    return part / whole if whole else None
+
+
+def _mean_and_most(values: Array) -> list[float] | None:
+    """Mean and greatest; None if one is missing, or all are."""
+    return [float(values.mean()), float(values.max())] if len(values) and np.isfinite(values).all() else None
+
+
+def _plain(values: Iterable[float]) -> list[float | None]:
+    return [float(value) if np.isfinite(value) else None for value in values]
