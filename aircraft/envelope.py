@@ -15,6 +15,8 @@ RUNWAY_HEADING_DEG = 20.0
 """Departure from the runway's heading that ends a take-off."""
 
 
+GUST_LOAD_G = 1.0
+"""What turbulence may add beyond an airframe's limits, which are that much inside of its design."""
 BOUNCE_S = 2.0
 """After lift-off the wheels may touch the runway again for so long."""
 
@@ -103,11 +105,10 @@ class Envelope:
                 f"stall: angle of attack {alpha:.1f} deg outside {limits.alpha_min_deg:g} to"
                 f" {limits.alpha_max_deg:g} deg"
             )
-        if not limits.load_factor_min_g <= s.load_factor <= limits.load_factor_max_g:
-            return (
-                f"load factor {s.load_factor:.2f} g outside {limits.load_factor_min_g:g} to"
-                f" {limits.load_factor_max_g:g} g"
-            )
+        margin = GUST_LOAD_G if self.plan.is_rough else 0.0
+        least, most = limits.load_factor_min_g - margin, limits.load_factor_max_g + margin
+        if not least <= s.load_factor <= most:
+            return f"load factor {s.load_factor:.2f} g outside {least:g} to {most:g} g"
         if abs(degrees(s.roll)) > limits.bank_deg:
             return f"bank {degrees(s.roll):.1f} deg beyond {limits.bank_deg:g} deg"
         return None

@@ -190,17 +190,18 @@ class FlightPlan(Settings):
         if self.fdm_rate_hz:
             return self.fdm_rate_hz
         common = lcm(self.imu_rate_hz, GUIDANCE_RATE_HZ)
-        least = self._least_rate_hz if self._is_rough else 500
+        least = self._least_rate_hz if self.is_rough else 500
         return -(-least // common) * common
 
     @property
-    def _is_rough(self) -> bool:
+    def is_rough(self) -> bool:
+        """Whether the air is turbulent."""
         return self.air.turbulence is not Turbulence.NONE
 
     @property
     def _least_rate_hz(self) -> int:
         """That a plan may state."""
-        if not self._is_rough:
+        if not self.is_rough:
             return 100
         return 800 if self.imu_rate_hz <= 100 else 1200
 

@@ -25,6 +25,9 @@ POUND_PER_SQUARE_FOOT = 47.88025898
 SETTLING_S = 10.0
 """On the brakes before time zero, so that the gear's springs come to rest."""
 PROGRESS_INTERVAL_S = 0.06
+ROUGH_FROM_MPS = 30.0
+"""Airspeed from which there is turbulence: it is a field that the aircraft flies through, and at rest JSBSim's
+shakes the rates that a flight control system integrates there (the F-16's did, and took off nose up or down)."""
 TURBULENCE_TYPE = {Turbulence.NONE: 0, Turbulence.MILSPEC: 3, Turbulence.TUSTIN: 4}
 
 
@@ -93,16 +96,20 @@ class _Model:
             raise FlightError("preparation", 0.0, "JSBSim refuses the initial conditions")
         self._set(
             {
-                "simulation/randomseed": self.plan.seed,
+                "simulation/randomseed": self.plan.seed % (2**31 - 2) + 1,  # 0 and 1 would be one
                 "propulsion/set-running": -1,
                 "atmosphere/wind-north-fps": air.wind_north_mps / FOOT,
                 "atmosphere/wind-east-fps": air.wind_east_mps / FOOT,
                 "atmosphere/wind-down-fps": air.wind_down_mps / FOOT,
-                "atmosphere/turb-type": TURBULENCE_TYPE[air.turbulence],
+                "atmosphere/turb-type": TURBULENCE_TYPE[Turbulence.NONE],
                 "atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps": air.turbulence_wind_mps / FOOT,
                 "atmosphere/turbulence/milspec/severity": air.turbulence_severity,
             }
         )
+
+    def set_turbulence(self) -> None:
+        """There is some from now on, if the plan has any."""
+        self._set({"atmosphere/turb-type": TURBULENCE_TYPE[self.plan.air.turbulence]})
 
     def set_brakes(self, value: float) -> None:
         for brake in self._brakes:
@@ -185,6 +192,7 @@ def fly(plan: FlightPlan, progress: Progress | None = None) -> Flight:
 
     marks: list[Phase] = []
     tick = 0
+    rough = False
     next_report = wall.perf_counter()
     for phase in mission_phases(plan, airframe):
         start = tick / GUIDANCE_RATE_HZ
@@ -195,6 +203,9 @@ def fly(plan: FlightPlan, progress: Progress | None = None) -> Flight:
             if phase.finished(t, sensed):
                 break
             envelope.check(phase, t, t - start, sensed)
+            if not rough and sensed.airspeed > ROUGH_FROM_MPS:
+                rough = True
+                model.set_turbulence()
             model.command(guidance.update(sensed, phase.target(t, sensed)))
             for _ in range(steps):
                 run()
