@@ -37,7 +37,7 @@ HOLD_WINDOW = 10
 """Samples whose mean stands in for one that is held: fewer would hold on to vibration."""
 JERK, ANGULAR_ACCELERATION = 10.0, 0.5
 """Standard deviations meanwhile, m/s^3 and rad/s^2: a brisk manoeuvre's."""
-EXCESS = 0.25
+EXCESS = 0.5
 """Standard deviation of what lies beyond a full scale, of the full scale."""
 SCATTERED = 1e-3
 """Repeats of a value by chance in a whole record, below which repeats far apart mean something too."""
