@@ -88,7 +88,7 @@ def track(
                 if place[i] >= 0:
                     cov[i] = blocks[place[i]]
             if len(shared) > 0:
-                _of_anchors(A, place, first.w_prior, shared)
+                of_anchors(A, place, first.w_prior, shared)
         _misfits(S, terms, misfit[k], residuals[k], neighbours[k])
 
 
@@ -117,7 +117,7 @@ def _predict(S, last, place, dt, V):
 
 
 @njit(**COMPILED)
-def _of_anchors(V, place, w_prior, shared):
+def of_anchors(V, place, w_prior, shared):
     """What the errors of anchors, with information ``w_prior`` (n, B), make of each node's covariance.
 
     ``V`` is the inverse of the factor, as `covariance_blocks` leaves it: ``V V'`` is the covariance, and its

@@ -3,7 +3,7 @@
 Two things are watched. What an *anchor says of itself* is held against where everybody else's ranges put
 it: the solution without its belief, had from the one with it by the gradient of the others' terms. And the
 *ranges of a node* are held against each other: whatever makes all of them too long, or too short, beyond
-what a move of the node, or its clock, explains. Both are averaged over windows, from a single epoch to ten
+what a move of the node, or its clock, explains. Both are averaged over windows, from a single epoch to some
 seconds: the short ones find large lies at once, the long ones small lies and slow ramps.
 """
 
@@ -17,11 +17,14 @@ from scipy.stats import chi2, norm
 from ...sins.settings import Settings
 from ..fleet import OWN_SHIP
 from ..record import QuarantineReason
-from ._dense import ONE_SIDED, SQUARED, Terms
+from ._cholesky import covariance_blocks, factorize
+from ._dense import ONE_SIDED, SQUARED, Terms, evaluate, support
+from ._tracking import of_anchors
 from .problem import Array, Booleans, Integers
 
-WINDOWS_S = (0.0, 1.0, 10.0)
-"""Lengths of the windows; the first is one epoch."""
+WINDOWS_S = (0.0, 1.0, 3.0)
+"""Lengths of the windows; the first is one epoch. Over longer ones the geometry changes, and the bias of a loss
+that doubts long ranges shows."""
 _CUT = 3.0
 """Standard deviations at which a node's residuals are cut off, so that a few cannot speak for all."""
 _UNTOLD = 0.05
@@ -46,11 +49,10 @@ class Evidence(NamedTuple):
     """Of the first epoch: links, loss, clocks, heights' weights, and what is known of anchors."""
     states: Array
     """(k, n, B)."""
-    cov: Array
-    """(n, B, B) of each node's state, and the part of it that is of the anchors' errors."""
-    shared: Array
     started: Booleans
     """(n,) nodes that took part."""
+    floor: Array
+    """(B,) information at which it is held where there is none."""
     w_range: Array
     """(k, m), zero for pairs that did not range each other."""
     w_rate: Array
@@ -111,11 +113,14 @@ class Monitor:
         self._biases = np.concatenate([self._biases.reshape(-1, len(self._anchor)), _biases(seen)])
         limits = np.sqrt(chi2.isf(self._chance, seen.states.shape[2])), norm.isf(self._chance / 2)
         excess = np.zeros((new, 2, len(self._anchor)))
+        cov = _covariances(seen)
         for window in self._windows:
             share = self._constant + (1 - self._constant) / window
             rows = slice(max(new - max(len(self._shifts) - window + 1, 0), 0), None)
             mean = _means(self._shifts, window, new)
-            of_belief = _belief_excess(seen, np.flatnonzero(fallible), mean, share) / limits[0]
+            of_belief = (
+                _belief_excess(seen.terms.w_prior, *cov, np.flatnonzero(fallible), mean, share) / limits[0]
+            )
             excess[rows, 0] = np.maximum(excess[rows, 0], of_belief)
             of_ranges = _range_excess(_means(self._biases, window, new) / np.sqrt(share)) / limits[1]
             excess[rows, 1] = np.maximum(excess[rows, 1], of_ranges * judged)
@@ -160,17 +165,41 @@ def _means(rows: Array, window: int, most: int) -> Array:
     return np.where(counts == window, sums / window, np.nan)[window - 1 :][-most:]
 
 
-def _belief_excess(seen: Evidence, anchors: Integers, gradient: Array, share: float) -> Array:
+def _covariances(seen: Evidence) -> tuple[Array, Array]:
+    """(n, B, B) of each node's state at the first epoch, with all pairs that ranged each other at any of them;
+    and the part of them that is of the anchors' errors.
+
+    An epoch with fewer pairs has smaller gradients than these say, never larger ones.
+    """
+    n, B = seen.states.shape[1:]
+    place = np.where(seen.started, np.cumsum(seen.started) - 1, -1)
+    most = seen.w_range.max(axis=0), seen.w_rate.max(axis=0)
+    terms = seen.terms._replace(loss=SQUARED, w_range=most[0], w_rate=most[1])
+    N = B * int(seen.started.sum())
+    A, blocks = np.empty((N, N)), np.empty((N // B, B, B))
+    evaluate(seen.states[0].copy(), place, terms, A, np.empty(N))
+    support(A, seen.floor)
+    factorize(A)
+    covariance_blocks(A, blocks)
+    cov, shared = np.full((n, B, B), np.nan), np.empty((n, B, B))
+    cov[seen.started] = blocks
+    of_anchors(A, place, terms.w_prior, shared)
+    return cov, shared
+
+
+def _belief_excess(
+    w_prior: Array, cov: Array, shared: Array, anchors: Integers, gradient: Array, share: float
+) -> Array:
     """(w, n) distance of anchors' beliefs from where others have them, in standard deviations of all numbers
     of a state together. ``gradient`` (w, n, B) are means, with ``share`` of a single epoch's noise."""
     excess = np.zeros(gradient.shape[:2])
     # In standard deviations of the belief: the numbers of a state differ in size.
-    sd = seen.terms.w_prior[anchors] ** -0.5
+    sd = w_prior[anchors] ** -0.5
     size = sd[:, :, None] * sd[:, None]
-    P, shared = seen.cov[anchors] / size, seen.shared[anchors] / size
-    cov = np.eye(P.shape[1]) - 2 * P + shared + share * (P - shared)
+    P, common = cov[anchors] / size, shared[anchors] / size
+    of_mean = np.eye(P.shape[1]) - 2 * P + common + share * (P - common)
     scaled = gradient[:, anchors] * sd
-    white = np.linalg.solve(cov, scaled.transpose(1, 2, 0)).transpose(2, 0, 1)
+    white = np.linalg.solve(of_mean, scaled.transpose(1, 2, 0)).transpose(2, 0, 1)
     excess[:, anchors] = np.sqrt(np.maximum(np.einsum("wab,wab->wa", scaled, white), 0.0))
     return excess
 

@@ -142,8 +142,7 @@ class Tracker:
         w_range, w_rate = joined * epochs.range_sd**-2.0, joined * epochs.rate_sd**-2.0
         terms = self._terms(epochs, beliefs[0], w_range[0], w_rate[0])
         states, own_cov = np.empty((k, n, B)), np.empty((k, B, B))
-        alone = self._settings.tracker == "epoch" and self._settings.quarantine is None
-        cov, shared = np.empty((n, B, B)), np.empty((0 if alone else n, B, B))
+        cov, shared = np.empty((n, B, B)), np.empty((0 if self._settings.tracker == "epoch" else n, B, B))
         misfit, residuals = np.empty((k, n)), np.empty((k, n), np.int64)
         neighbours, converged = np.empty((k, n), np.int64), np.empty(k, np.bool_)
         heights = np.broadcast_to(terms.height, (k, n)) if epochs.height is None else epochs.height
@@ -174,7 +173,7 @@ class Tracker:
                 out,
             )
         self._t = float(epochs.t[-1])
-        solved = epochs.t, terms, states, cov, shared, self._started.copy()
+        solved = epochs.t, terms, states, self._started.copy(), self._floor
         seen = Evidence(*solved, w_range, w_rate, epochs.ranges, epochs.rates, heights)
         own_cov, cov, shared = (
             part[:, self._kinematic][:, :, self._kinematic] for part in (own_cov, cov, shared)
