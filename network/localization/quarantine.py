@@ -23,8 +23,8 @@ from ._tracking import of_anchors
 from .problem import Array, Booleans, Integers
 
 WINDOWS_S = (0.0, 1.0, 3.0)
-"""Lengths of the windows; the first is one epoch. Over longer ones the geometry changes, and the bias of a loss
-that doubts long ranges shows."""
+"""Lengths of the windows; the first is one epoch. Over longer ones the geometry changes, and the bias of a
+loss that doubts long ranges shows."""
 _CUT = 3.0
 """Standard deviations at which a node's residuals are cut off, so that a few cannot speak for all."""
 _UNTOLD = 0.05
@@ -166,8 +166,8 @@ def _means(rows: Array, window: int, most: int) -> Array:
 
 
 def _covariances(seen: Evidence) -> tuple[Array, Array]:
-    """(n, B, B) of each node's state at the first epoch, with all pairs that ranged each other at any of them;
-    and the part of them that is of the anchors' errors.
+    """(n, B, B) of each node's state at the first epoch, with the pairs that ranged each other at any of them,
+    and the part of it that is of the anchors' errors.
 
     An epoch with fewer pairs has smaller gradients than these say, never larger ones.
     """
