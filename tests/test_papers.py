@@ -41,6 +41,8 @@ def test_rms_and_mean_are_those_of_the_draws_and_hold_the_truth():
     assert statistics.rms([4.0, np.nan, 4.0]).value == 2.0
     assert statistics.mean([1.0, 3.0]).value == 2.0
     assert statistics.mean_ratio([2.0, 4.0], [1.0, 1.0]).value == 3.0
+    # A draw that lacks one of the two is in neither.
+    assert statistics.mean_ratio([2.0, 4.0, 9.0, np.nan], [1.0, 1.0, np.nan, 7.0]).value == 3.0
 
 
 def test_a_ratio_of_equal_errors_has_no_spread():
@@ -61,9 +63,12 @@ def test_few_draws_have_no_interval_and_none_no_value():
 
 
 def test_verdicts_follow_whole_intervals():
-    low, high, across, unknown = Value(0.5, 0.4, 0.6), Value(2, 1.8, 2.2), Value(1, 0.8, 1.2), Value(0.5)
+    low, high, across, unknown = Value(0.5, 0.4, 0.6), Value(2, 1.8, 2.2), Value(0.9, 0.8, 1.2), Value(0.5)
     assert [judging.below(v, 1.0) for v in (low, high, across, unknown)] == [YES, NO, OPEN, OPEN]
     assert [judging.above(v, 1.0) for v in (low, high, across, unknown)] == [NO, YES, OPEN, OPEN]
+    # Half an interval is none.
+    assert judging.below(Value(0.5, np.nan, 0.6), 1.0) is OPEN
+    assert judging.below(Value(2, 1.8, np.nan), 1.0) is OPEN
     assert judging.within(low, 0.3, 0.7) is YES
     assert judging.within(low, 0.55, 0.7) is OPEN
     assert judging.within(low, 0.7, 0.9) is NO

@@ -64,9 +64,7 @@ def summarize(folder: Path) -> CampaignSummary:
             scores.append(_score(point, name, mine))
             named = worst.setdefault(name, [])
             named += [_named(row) for row in mine if row["failure"] or row["nees"] is not None]
-            named.sort(
-                key=lambda row: (row["failure"] is None, -(row["nees"] or np.inf), row["point"], row["run"])
-            )
+            named.sort(key=_order)
             del named[WORST:]
     return CampaignSummary(plan, scores, [row for rows in worst.values() for row in rows])
 
@@ -111,6 +109,11 @@ def _history(rows: list[dict[str, Any]], key: str) -> list[float]:
     squares = np.where(known, values, 0.0) ** 2
     count = known.sum(axis=0)
     return np.where(count > 0, np.sqrt(squares.sum(axis=0) / np.maximum(count, 1)), np.nan).tolist()
+
+
+def _order(row: dict[str, Any]) -> tuple[bool, float, int, int]:
+    far = np.inf if row["nees"] is None else row["nees"]
+    return row["failure"] is None, -far, row["point"], row["run"]
 
 
 def _named(row: dict[str, Any]) -> dict[str, Any]:
