@@ -69,7 +69,12 @@ class Envelope:
         """Raises FlightError when the state at ``t``, ``elapsed`` s into the phase, is outside."""
         reason = self._fault(phase, t, elapsed, s)
         if reason:
-            raise FlightError(phase.name, t, reason)
+            failed = [
+                f"{failure.told} at {failure.time_s:g} s"
+                for failure in self.plan.failures
+                if failure.time_s <= t
+            ]
+            raise FlightError(phase.name, t, "; ".join([reason, *failed]))
 
     def _fault(self, phase: MissionPhase, t: float, elapsed: float, s: Sensed) -> str | None:
         if not isfinite(s.altitude + s.airspeed + s.roll + s.pitch + s.heading + s.p + s.q + s.r + s.alpha):
@@ -114,9 +119,11 @@ class Envelope:
         return None
 
     def _runway_fault(self, s: Sensed) -> str | None:
-        runway = self.plan.start.runway_length_m
+        runway, width = self.plan.start.runway_length_m, self.plan.start.runway_width_m
         if s.distance > runway:
             return f"runway of {runway:g} m overrun at {s.airspeed:.1f} m/s"
+        if s.on_wheels and abs(s.off_centre) > 0.5 * width:
+            return f"left the runway of {width:g} m to a side at {s.airspeed:.1f} m/s"
         if abs(degrees((s.heading - self.heading + pi) % (2 * pi) - pi)) > RUNWAY_HEADING_DEG:
             return f"left the runway's heading by more than {RUNWAY_HEADING_DEG:g} deg"
         return None

@@ -54,6 +54,8 @@ class Sensed:
     on_wheels: bool
     distance: float
     """From the start of the take-off roll, m."""
+    off_centre: float = 0.0
+    """To the right of the runway's centre line, m."""
 
 
 @dataclass(slots=True)

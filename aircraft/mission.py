@@ -2,14 +2,15 @@
 
 from enum import StrEnum
 from itertools import pairwise
-from math import atan, degrees, lcm
+from math import atan, cos, degrees, lcm, pi
 from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from ..sins.earth import STANDARD_GRAVITY
 from ..sins.settings import Settings
-from .airframe import airframe_names
+from .airframe import airframe_names, load_airframe
+from .failures import EngineOut, Failure
 
 GUIDANCE_RATE_HZ = 50
 """Rate of guidance, of the mission's phases and of the envelope monitor."""
@@ -32,6 +33,8 @@ class Start(Settings):
     heading_deg: float = Field(default=45.0, ge=-180, le=360)
     runway_length_m: float = Field(default=3500.0, ge=100, le=10000)
     """A take-off that is longer fails."""
+    runway_width_m: float = Field(default=45.0, ge=10, le=200)
+    """A take-off that leaves it to a side fails."""
 
 
 class SManeuver(Settings):
@@ -116,19 +119,60 @@ class Turbulence(StrEnum):
     TUSTIN = "tustin"
 
 
+Gusting = Annotated[float, Field(ge=-30, le=30)]
+
+
+class Gust(Settings):
+    """A discrete gust (MIL-F-8785C): ``(1 - cos) / 2`` up, held, and down again."""
+
+    start_s: float = Field(ge=0, le=5000)
+    """From brake release."""
+    rise_s: float = Field(default=0.5, ge=0.1, le=60)
+    """Of the way up, and of the way down."""
+    hold_s: float = Field(default=0.0, ge=0, le=600)
+    north_mps: Gusting = 0.0
+    """Velocity of the air at its height, as that of the steady wind."""
+    east_mps: Gusting = 0.0
+    down_mps: Gusting = 0.0
+
+    def share(self, t: float) -> float:
+        """Of its height at ``t``, s from brake release."""
+        since = t - self.start_s
+        edge = min(since, 2 * self.rise_s + self.hold_s - since) / self.rise_s
+        return 0.5 - 0.5 * cos(pi * min(max(edge, 0.0), 1.0))
+
+
 class Air(Settings):
-    """Steady wind and turbulence."""
+    """Steady wind, gusts and turbulence."""
 
     wind_north_mps: float = Field(default=0.0, ge=-25, le=25)
     """Velocity of the air, so a wind *from* the south is positive."""
     wind_east_mps: float = Field(default=0.0, ge=-25, le=25)
     wind_down_mps: float = Field(default=0.0, ge=-5, le=5)
+    gusts: tuple[Gust, ...] = Field(default=(), max_length=100)
     turbulence: Turbulence = Turbulence.NONE
+    """From the take-off roll on."""
     turbulence_wind_mps: float = Field(default=7.62, ge=0, le=25)
     """Wind speed 20 ft above the ground, which sets the turbulence below 2000 ft (MIL-F-8785C)."""
     turbulence_severity: int = Field(default=3, ge=1, le=7)
     """Row of MIL-F-8785C's exceedance table, which sets the turbulence above 2000 ft: 3 light, 4 moderate,
     6 severe."""
+
+    @property
+    def is_calm(self) -> bool:
+        """Whether it does not move."""
+        wind = self.wind_north_mps, self.wind_east_mps, self.wind_down_mps
+        return not (any(wind) or self.gusts) and self.turbulence is Turbulence.NONE
+
+    def gust_n(self, t: float) -> tuple[float, float, float]:
+        """Sum of the gusts at ``t``, NED, m/s."""
+        north = east = down = 0.0
+        for gust in self.gusts:
+            share = gust.share(t)
+            north += share * gust.north_mps
+            east += share * gust.east_mps
+            down += share * gust.down_mps
+        return north, east, down
 
 
 class FlightPlan(Settings):
@@ -151,6 +195,8 @@ class FlightPlan(Settings):
     """An S, or a bank profile in its place."""
     tail_s: float = Field(default=5.0, ge=0, le=600)
     air: Air = Air()
+    failures: tuple[Failure, ...] = Field(default=(), max_length=10)
+    """A flight that they end is a `FlightError`."""
     seed: int = Field(default=0, ge=0, le=2**31 - 1)
     """Of the turbulence."""
     imu_rate_hz: int = Field(default=100, ge=50, le=800)
@@ -182,6 +228,16 @@ class FlightPlan(Settings):
                 f"fdm_rate_hz {rate}: {least} to {FASTEST_MODEL_HZ} Hz in this air, and a multiple of"
                 f" imu_rate_hz {self.imu_rate_hz} and of guidance's {GUIDANCE_RATE_HZ}"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _engines_exist(self) -> "FlightPlan":
+        engines = load_airframe(self.airframe).engines
+        for number, failure in enumerate(self.failures):
+            if isinstance(failure, EngineOut) and failure.engine > engines:
+                raise ValueError(
+                    f"failures[{number}].engine = {failure.engine}: the {self.airframe} has {engines}"
+                )
         return self
 
     @property

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..sins.earth import STANDARD_GRAVITY as G
 from .airframe import Airframe
-from .guidance import Sensed, Target
+from .guidance import Sensed, Target, clipped
 from .mission import GUIDANCE_RATE_HZ, BankProfile, FlightPlan, SManeuver
 
 GEAR_UP_HEIGHT = 10.0
@@ -22,6 +22,9 @@ SETTLED = 0.5, 0.25, 0.1
 m, m/s, m/s."""
 MEAN_TIME = 10.0
 """Time constant of those means, s."""
+CENTRING = 0.01
+"""Heading back to the runway's centre line that wind has carried the aircraft off, rad per m."""
+MOST_CENTRING = radians(5.0)
 RATE_SPAN = 0.1
 """To either side of now, s, over which a bank profile's roll rate is taken: at a knot it would jump, and the
 aileron with it, which shakes the load factor by 1 g."""
@@ -41,6 +44,8 @@ class Takeoff:
         heading = radians(self.plan.start.heading_deg)
         rotate = s.airspeed >= self.airframe.rotation_speed_mps
         pitch = radians(self.airframe.rotation_pitch_deg) if rotate else None
+        if not self.plan.air.is_calm:
+            heading -= clipped(CENTRING * s.off_centre, MOST_CENTRING)
         return Target(self.plan.speed_mps, heading, pitch=pitch, bank=0.0, on_runway=True)
 
     def finished(self, t: float, s: Sensed) -> bool:

@@ -8,9 +8,11 @@ from collections.abc import Callable
 import jsbsim
 import numpy as np
 
-from ..sins.earth import GravityModel
+from ..sins.earth import EQUATORIAL_RADIUS, GravityModel
+from ..sins.units import DEG
 from .airframe import Airframe, load_airframe
 from .envelope import Envelope, FlightError
+from .failures import EngineOut, Jammed
 from .flight import Flight, Phase
 from .guidance import Controls, Guidance, Sensed
 from .mission import GUIDANCE_RATE_HZ, FlightPlan, Turbulence
@@ -26,8 +28,8 @@ SETTLING_S = 10.0
 """On the brakes before time zero, so that the gear's springs come to rest."""
 PROGRESS_INTERVAL_S = 0.06
 ROUGH_FROM_MPS = 30.0
-"""Airspeed from which there is turbulence: it is a field that the aircraft flies through, and at rest JSBSim's
-shakes the rates that a flight control system integrates there (the F-16's did, and took off nose up or down)."""
+"""Airspeed from which there is turbulence. At rest JSBSim's shakes the rates that a flight control system may
+integrate there: that of the F-16 does, and keeps the sum for the flight."""
 TURBULENCE_TYPE = {Turbulence.NONE: 0, Turbulence.MILSPEC: 3, Turbulence.TUSTIN: 4}
 
 
@@ -50,11 +52,13 @@ class _Model:
         ]
         self._brakes = [self._setter(f"fcs/{side}-brake-cmd-norm") for side in ("left", "right", "center")]
         self.set_gear = self._setter("gear/gear-cmd-norm")
+        self._gusts = [self._setter(f"atmosphere/gust-{axis}-fps") for axis in ("north", "east", "down")]
         names = (
             "position/geod-alt-ft position/h-agl-ft velocities/v-north-fps velocities/v-east-fps"
             " velocities/v-down-fps attitude/phi-rad attitude/theta-rad attitude/psi-rad"
             " velocities/p-rad_sec velocities/q-rad_sec velocities/r-rad_sec aero/alpha-rad"
             " accelerations/Nz aero/qbar-psf gear/wow position/distance-from-start-mag-mt"
+            " position/lat-geod-rad position/long-gc-rad"
         )
         self._sensors = [self._getter(name) for name in names.split()]
         states = (
@@ -111,6 +115,23 @@ class _Model:
         """There is some from now on, if the plan has any."""
         self._set({"atmosphere/turb-type": TURBULENCE_TYPE[self.plan.air.turbulence]})
 
+    def set_gust(self, north: float, east: float, down: float) -> None:
+        """Velocity of the gusts, m/s."""
+        for setter, speed in zip(self._gusts, (north, east, down), strict=True):
+            setter(speed / FOOT)
+
+    def cut_off(self, engine: int) -> None:
+        """No more fuel for an engine, counted from 1."""
+        self._set({"propulsion/active_engine": engine - 1, "propulsion/cutoff_cmd": 1.0})
+
+    def _to_the_right(self, latitude: float, longitude: float) -> float:
+        """Of the centre line, m, near the runway."""
+        start = self.plan.start
+        heading, cosine = start.heading_deg * DEG, math.cos(start.latitude_deg * DEG)
+        north, east = latitude - start.latitude_deg * DEG, longitude - start.longitude_deg * DEG
+        across = -math.sin(heading) * north + math.cos(heading) * cosine * math.remainder(east, 2 * math.pi)
+        return EQUATORIAL_RADIUS * across
+
     def set_brakes(self, value: float) -> None:
         for brake in self._brakes:
             brake(value)
@@ -142,6 +163,8 @@ class _Model:
             qbar,
             wow,
             distance,
+            latitude,
+            longitude,
         ) = [sensor() for sensor in self._sensors]
         wind_north, wind_east, wind_down = self._wind
         # In the order of the fields: names would take as long as the reading.
@@ -161,6 +184,7 @@ class _Model:
             qbar * POUND_PER_SQUARE_FOOT,
             wow > 0.5,
             distance,
+            self._to_the_right(latitude, longitude),
         )
 
 
@@ -193,6 +217,8 @@ def fly(plan: FlightPlan, progress: Progress | None = None) -> Flight:
     marks: list[Phase] = []
     tick = 0
     rough = False
+    jammed = Jammed(plan.failures)
+    engines_out = sorted((f for f in plan.failures if isinstance(f, EngineOut)), key=lambda f: f.time_s)
     next_report = wall.perf_counter()
     for phase in mission_phases(plan, airframe):
         start = tick / GUIDANCE_RATE_HZ
@@ -206,7 +232,11 @@ def fly(plan: FlightPlan, progress: Progress | None = None) -> Flight:
             if not rough and sensed.airspeed > ROUGH_FROM_MPS:
                 rough = True
                 model.set_turbulence()
-            model.command(guidance.update(sensed, phase.target(t, sensed)))
+            if plan.air.gusts:
+                model.set_gust(*plan.air.gust_n(t))
+            while engines_out and engines_out[0].time_s <= t:
+                model.cut_off(engines_out.pop(0).engine)
+            model.command(jammed(t, guidance.update(sensed, phase.target(t, sensed))))
             for _ in range(steps):
                 run()
                 extend((rx(), ry(), rz(), vx(), vy(), vz(), roll(), pitch(), heading()))
