@@ -6,20 +6,25 @@ from functools import partial
 import numpy as np
 import pytest
 from fleetalign.aircraft.cache import cached_flight
-from fleetalign.align.consistency import mean_band
-from fleetalign.align.estimate import JUMP_SIGMAS, FixOutcome, NavStatus, RunOutcome
+from fleetalign.aircraft.truth import InertialStates, increments, navigation_truth
+from fleetalign.align.consistency import chi_square_quantile, mean_band, nees
+from fleetalign.align.estimate import FixOutcome, NavStatus, RunOutcome
 from fleetalign.align.methods import METHODS, estimate
-from fleetalign.align.problem import status_of
+from fleetalign.align.problem import pose, status_of
+from fleetalign.align.problem import run as align_problem
+from fleetalign.align.settings import DelayModel, Transform
+from fleetalign.cosim.fault_score import jumps
 from fleetalign.cosim.resampling import paired_ratios
 from fleetalign.cosim.run import alignment_window, generator, simulate, simulate_all
 from fleetalign.cosim.scenario import load_scenario, replaced
 from fleetalign.cosim.score import Scorer
-from fleetalign.network.fixes import concatenate
+from fleetalign.network.fixes import Fixes, concatenate
 from fleetalign.network.packet_faults import PacketFaults, faulty, outliers
 from fleetalign.sins import attitude, earth
+from fleetalign.sins.earth import GravityModel
+from fleetalign.sins.imu import simulate_imu
 
 RUNS, FEW = 100, 20
-VIBRATION_MPS = 0.01
 JUDGED = ("ekf_stamped", "l2linf")
 HISTORY = (
     "lla",
@@ -55,24 +60,6 @@ def faults():
 # Outage
 
 
-def unflagged_jumps(found, window):
-    """Rows whose error is more than three standard deviations of the row before from that row's error: how
-    many of them no flag tells, and how many there are. Velocity jitters by the vibration: six of its standard
-    deviations between two rows are no correction. All else moves by corrections, but for some 1e-3 sigmas."""
-    rows = np.searchsorted(window.time, found.time - 0.5 * window.dt)
-    errors = np.hstack(
-        [
-            earth.displacement_n(found.lla, window.lla[rows]),
-            found.v_n - window.v_n[rows],
-            attitude.misalignment(found.q_nb, window.q_nb[rows]),
-        ]
-    )
-    moved = np.abs(np.diff(errors, axis=0))
-    jitter = np.repeat([0.0, 6 * np.sqrt(2) * VIBRATION_MPS, 0.0], 3)
-    beyond = (moved > JUMP_SIGMAS * found.sd[:-1, :9] + jitter).any(axis=1)
-    return int(np.count_nonzero(beyond & ~found.jumped[1:])), int(np.count_nonzero(beyond))
-
-
 @pytest.fixture(scope="module")
 def outage(faults):
     """Scores of the runs over an outage of 60 s across the S, when the status said so, and jumps."""
@@ -80,13 +67,13 @@ def outage(faults):
     flight = cached_flight(scenario.flight)[0]
     window = alignment_window(scenario, flight)
     scorer = Scorer(window, JUDGED)
-    told, jumps = {name: [] for name in JUDGED}, []
+    told, moved = {name: [] for name in JUDGED}, []
     for run in simulate_all(scenario, flight, RUNS, scenario.seed):
         scorer.add(run)
         for name, found in run.estimates.items():
             told[name].append(found.status)
-            jumps.append(unflagged_jumps(found, window))
-    return scenario.outages[0], scorer.scores(), {n: np.stack(s) for n, s in told.items()}, np.array(jumps)
+            moved.append(jumps(found, window, scenario.imu.vibration_mps))
+    return scenario.outages[0], scorer.scores(), {n: np.stack(s) for n, s in told.items()}, np.array(moved)
 
 
 @pytest.mark.parametrize("name", JUDGED)
@@ -129,7 +116,7 @@ def test_errors_are_within_the_limits_30_s_after_an_outage(outage, name):
 
 
 def test_no_jump_of_an_outage_is_unflagged(outage):
-    unflagged, _ = outage[3].sum(axis=0)
+    _, unflagged = outage[3].sum(axis=0)
     assert unflagged == 0
 
 
@@ -144,8 +131,8 @@ def test_a_restart_is_a_jump_and_is_flagged(stated, flight, window, name):
     )
     found = again(scenario, window, run, replace(run.fixes, lla=lla), name)
     assert found.count(FixOutcome.INITIALIZED) == 2
-    unflagged, jumps = unflagged_jumps(found, window)
-    assert jumps > 0
+    total, unflagged = jumps(found, window, scenario.imu.vibration_mps)
+    assert total > 0
     assert unflagged == 0
     restart = np.flatnonzero(found.fix_outcome == FixOutcome.INITIALIZED)[1]
     assert found.fix_jump[restart] > 1000
@@ -331,3 +318,96 @@ def test_effects_are_drawn_apart(stated, flight):
     np.testing.assert_array_equal(all_.lla[rows], one.lla)
     np.testing.assert_array_equal(all_.v_n[rows], one.v_n)
     assert not outliers(clean, PacketFaults(copies=2), rng()).any()
+
+
+# A million steps
+
+PERIOD, DT = 20_000, 0.01
+KNOWN = {DelayModel.STAMPED: 15, DelayModel.ESTIMATED: 16}
+"""States that are not exactly known: with stamps the delay is."""
+
+
+@pytest.fixture(scope="module")
+def eights():
+    """Figures of eight of 200 s at 60 to 126 m/s, banked as they turn; on a steadily turning earth one of them,
+    repeated, is a flight as long as one likes. Truth and ideal increments of one."""
+    t = DT * np.arange(-1, PERIOD + 2)
+    w = 2 * np.pi / (PERIOD * DT)
+    north, east = 4000 * np.sin(w * t), 2000 * np.sin(2 * w * t)
+    v_n, v_e = 4000 * w * np.cos(w * t), 4000 * w * np.cos(2 * w * t)
+    a_n, a_e = -4000 * w**2 * np.sin(w * t), -8000 * w**2 * np.sin(2 * w * t)
+    roll = np.arctan2((v_n * a_e - v_e * a_n) / np.hypot(v_n, v_e), 9.8)
+    euler = np.column_stack([roll, np.zeros(len(t)), np.arctan2(v_e, v_n)])
+    lla = np.column_stack([0.52 + north / 6.37e6, 2.1 + east / (6.37e6 * np.cos(0.52)), 1000 + 0 * t])
+    r_e, turn = earth.ecef_from_lla(lla), earth.EARTH_RATE * t
+    c, s = np.cos(turn), np.sin(turn)
+    r_i = np.column_stack([c * r_e[:, 0] - s * r_e[:, 1], s * r_e[:, 0] + c * r_e[:, 1], r_e[:, 2]])
+    states = InertialStates(r_i[1:-1], (r_i[2:] - r_i[:-2]) / (2 * DT), euler[1:-1], 0.0, DT)
+    *truth, q_ib = navigation_truth(states)
+    return truth, increments(states, q_ib)
+
+
+def long_record(eights, n, errors):
+    """Time, increments with sensor errors, fixes at 10 Hz, and the attitude at the ends."""
+    (lla, v_n, q_nb), (dtheta, dv) = eights
+    time, laps = DT * np.arange(n), -(-n // PERIOD)
+    ideal = [np.vstack([np.zeros((1, 3)), np.tile(part, (laps, 1))])[:n] for part in (dtheta, dv)]
+    imu = simulate_imu(time, *ideal, errors, np.random.default_rng(1))
+    rng = np.random.default_rng(2)
+    at = np.arange(0, n - 10, 10)
+    k, sd = len(at), np.repeat([10.0, 0.1], 3)
+    noise = sd * rng.standard_normal((k, 6))
+    fixes = Fixes(
+        t_valid=time[at],
+        t_stamp=time[at],
+        t_arrival=time[at] + rng.uniform(0, 0.05, k),
+        lla=earth.displaced(lla[at % PERIOD], noise[:, :3]),
+        v_n=v_n[at % PERIOD] + noise[:, 3:],
+        cov=np.tile(np.diag(sd**2), (k, 1, 1)),
+        source=np.zeros(k, np.int64),
+        sequence=np.arange(k),
+    )
+    coarse = attitude.multiply(attitude.from_rotvec([0.02, -0.02, 0.15]), q_nb[0])
+    return (imu.time, imu.dtheta_b, imu.dv_b, coarse, fixes), q_nb[(n - 1) % PERIOD]
+
+
+def check_covariances(P):
+    """Symmetric to 1e-12 and positive definite, each state by its own deviation: (k, n, n)."""
+    sd = np.sqrt(np.einsum("kii->ki", P))
+    scaled = P / (sd[:, :, None] * sd[:, None, :])
+    assert np.abs(scaled - scaled.swapaxes(1, 2)).max() <= 1e-12
+    # Rounding could leave some 1e-14 of the wrong sign.
+    assert np.linalg.eigvalsh(scaled).min() > 1e-9
+
+
+def check_run(record, delay, transform, scenario):
+    problem = pose(*record, delay, scenario.alignment.settings, scenario.imu, GravityModel.J2)
+    kept = 201 if delay is DelayModel.STAMPED else 1
+    found, (_, P) = align_problem(problem, kept - 1, kept, transform)
+    assert found.outcome is RunOutcome.ALIGNED
+    P = P @ P.swapaxes(1, 2) if transform is Transform.SQUARE_ROOT else P
+    check_covariances(P[:, : KNOWN[delay], : KNOWN[delay]])
+    check_covariances(found.misalignment_cov[np.isfinite(found.misalignment_cov).all(axis=(1, 2))])
+    return found
+
+
+@pytest.mark.parametrize("delay", KNOWN)
+@pytest.mark.parametrize(
+    ("transform", "steps"),
+    [(Transform.DERIVATIVES, 10_000), (Transform.DERIVATIVES, 1_000_000), (Transform.SQUARE_ROOT, 20_000)],
+)
+def test_covariance_stays_one_over_a_million_steps(eights, stated, delay, transform, steps):
+    """Of the last 2 s with stamps, of the last step without, and the misalignment's at each output. By square
+    roots a step takes twenty times as long."""
+    record, q_nb = long_record(eights, steps, stated.imu)
+    found = check_run(record, delay, transform, stated)
+    phi = attitude.misalignment(found.q_nb[-1], q_nb)
+    assert nees(phi, found.misalignment_cov[-1]) < chi_square_quantile(0.9999, 3)
+
+
+@pytest.mark.parametrize("delay", KNOWN)
+def test_covariance_stays_one_over_a_whole_flight(stated, flight, delay):
+    scenario = with_filters(stated, ["ekf"], alignment__start=0.0, alignment__duration_s=545.0)
+    run = simulate(scenario, flight, 0, 1)
+    record = (run.imu.time, run.imu.dtheta_b, run.imu.dv_b, run.q_nb_coarse, run.fixes)
+    check_run(record, delay, Transform.DERIVATIVES, scenario)

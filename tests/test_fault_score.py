@@ -1,0 +1,169 @@
+"""What is told of faults: twins without them, jumps that no flag tells, quarantines, the table."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fleetalign.align.estimate import FixOutcome, NavStatus
+from fleetalign.cosim import fault_score
+from fleetalign.cosim.fault_report import fault_rows, told_faults
+from fleetalign.cosim.fault_score import FaultScorer, clean_twin, has_faults, jumps, network_figures
+from fleetalign.cosim.run import simulate
+from fleetalign.cosim.scenario import load_scenario, replaced
+from fleetalign.cosim.score import Scorer
+from fleetalign.network.record import FaultRecord
+
+FILTERS = ["ekf_stamped", "l2linf"]
+LATE = {"faults.packets.detour_share": 0.2, "outages": [{"start_s": 10.0, "duration_s": 5.0}]}
+
+
+@pytest.fixture(scope="module")
+def run(stated, flight):
+    return simulate(replaced(stated, {"alignment.filters": ["ekf_stamped"]}), flight, 0, 1)
+
+
+def test_a_fault_is_judged_against_its_twin(stated, gao2009):
+    climb = {"alignment.start": "climb", "alignment.duration_s": 60.0}
+    scenarios = {
+        "out": replaced(stated, LATE),
+        "as stated": stated,
+        "climb": replaced(stated, climb),
+        "climb out": replaced(stated, climb | LATE),
+        "other": replaced(stated, LATE | {"fixes.rate_hz": 5.0}),
+    }
+    assert [has_faults(scenario) for scenario in scenarios.values()] == [True, False, False, True, True]
+    assert clean_twin(scenarios["out"], scenarios) == "as stated"
+    assert clean_twin(scenarios["climb out"], scenarios) == "climb"
+    assert clean_twin(scenarios["other"], scenarios) == "as stated"  # none is quite like it
+    assert clean_twin(scenarios["climb out"], {"as stated": stated}) is None
+    lying = replaced(gao2009, {"fixes.faults.clock_jumps": [{"nodes": [1], "at_s": 5.0, "jump_us": 1.0}]})
+    assert has_faults(lying)
+    assert not has_faults(gao2009)
+    assert clean_twin(lying, {"lying": lying, "as stated": gao2009}) == "as stated"
+
+
+def test_a_jump_without_a_flag_is_found(run, window):
+    """Of 4 standard deviations to the north, and of 2, from one row on."""
+    found = run.estimates["ekf_stamped"]
+    assert jumps(found, window, 0.01)[1] == 0
+    before, _ = jumps(found, window, 0.01)
+    for sigmas, more in ((4.5, 1), (2.0, 0)):
+        lla = found.lla.copy()
+        lla[200:, 0] += sigmas * found.sd[199, 0] / 6.37e6
+        total, unflagged = jumps(replace(found, lla=lla), window, 0.01)
+        assert (total - before, unflagged) == (more, more)
+        told = found.jump.copy()
+        told[200] = sigmas
+        assert jumps(replace(found, lla=lla, jump=told), window, 0.01) == (total, 0)
+
+
+def test_counts_are_of_what_became_of_fixes(stated, flight, window):
+    """Made-up outcomes of 400 fixes: 40 outliers, of which 2 are believed; 9 good ones are refused."""
+    scenario = replaced(stated, {"alignment.filters": FILTERS} | LATE)
+    scorer, scores = FaultScorer(scenario, window), Scorer(window, tuple(FILTERS))
+    for run_id in range(2):
+        done = simulate(scenario, flight, run_id, 1)
+        k = len(done.fixes)
+        outlier = np.arange(k) < 40
+        outcome = np.where(outlier, FixOutcome.GATED, FixOutcome.FUSED)
+        outcome[[3, 4]], outcome[50:59] = FixOutcome.FUSED, FixOutcome.GATED
+        outcome[60:70], outcome[70:75] = FixOutcome.DUPLICATE, FixOutcome.PENDING
+        estimates = {name: replace(found, fix_outcome=outcome) for name, found in done.estimates.items()}
+        done = replace(done, estimates=estimates, outlier=outlier)
+        scorer.add(done)
+        scores.add(done)
+    found = scores.scores()
+    clean = {name: 0.5 * score.errors[:, -1] for name, score in found.items()}
+    row = scorer.rows(found, clean)["filters"]["l2linf"]
+    assert row["outliers"] == 80
+    assert row["outliers_rejected"] == 38 / 40
+    assert row["good"] == 2 * (k - 40 - 15)
+    assert row["good_lost"] == 9 / (k - 55)
+    assert row["duplicates"] == 20
+    assert {name: ratio[0] for name, ratio in row["over_clean"].items()} == pytest.approx(
+        {"level": 2.0, "heading": 2.0, "velocity": 2.0}
+    )
+    mean, most = row["outages"][0]["dead_reckoning_after_s"]
+    assert 2.9 <= mean <= most <= 3.2
+    low, high = row["outages"][0]["nees_band95"]
+    assert low < 3 < high
+    assert row["outages"][0]["after_30_s"] is None  # the record ends before
+    assert scorer.rows(found, None)["filters"]["l2linf"]["over_clean"] is None
+
+
+def test_an_outage_that_is_never_told_has_no_time(stated, flight, window):
+    scenario = replaced(stated, {"alignment.filters": ["l2linf"]} | LATE)
+    scorer, scores = FaultScorer(scenario, window), Scorer(window, ("l2linf",))
+    done = simulate(scenario, flight, 0, 1)
+    silent = np.full(len(done.estimates["l2linf"].time), NavStatus.AIDED)
+    done = replace(done, estimates={"l2linf": replace(done.estimates["l2linf"], status=silent)})
+    scorer.add(done)
+    scores.add(done)
+    row = scorer.rows(scores.scores(), None)["filters"]["l2linf"]
+    assert row["outages"][0]["dead_reckoning_after_s"] is None
+
+
+def record(lying, quarantined):
+    nothing = np.empty(0)
+    lying, quarantined = np.array(lying, float), np.array(quarantined, float)
+    n = len(lying)
+    return FaultRecord(lying, np.zeros(n, bool), quarantined, np.zeros(n, np.int64), nothing, nothing)
+
+
+def test_quarantines_are_of_liars_or_false():
+    nan = np.nan
+    records = [record([nan, 10, 10], [nan, 20, nan]), record([nan, 10, nan], [nan, 16, 30])]
+    found = network_figures(records)
+    assert found["lying"] == 3
+    assert found["quarantined"] == 2 / 3
+    assert found["quarantined_after_s"] == [8.0, 10.0]
+    assert found["false_quarantines"] == 1
+    assert found["false_share"] == 1 / 3
+    assert network_figures([record([nan], [nan])])["quarantined"] is None
+
+
+def test_the_table_keeps_to_80_columns_and_tells_all(run):
+    row = {
+        "outliers_rejected": 0.9973,
+        "good_lost": None,
+        "late": 3,
+        "duplicates": 4,
+        "outages": [
+            {
+                "dead_reckoning_after_s": [3.0, 3.1],
+                "nees": 9.5,
+                "nees_band95": (2.5, 3.5),
+                "position_nees": [3.0, None, None],
+                "after_30_s": None,
+            }
+        ],
+        "unflagged_jumps": 0,
+        "over_clean": {"level": [1.0, 0.9, 1.1], "heading": [None, None, None], "velocity": [1.2, 1, 2]},
+        "failed_runs": 100,
+        "failures": {"imu_lost": 100},
+        "imu_samples": {"not_finite": 5000},
+        "forged_fused": 1,
+        "replayed_fused": 2,
+    }
+    network = network_figures([record([10.0], [20.0])])
+    block = {"against": "as stated", "filters": dict.fromkeys(FILTERS, row), "network": network}
+    summary = {"faults": {"an outage": block}}
+    lines = told_faults(summary)
+    assert max(map(len, lines[:-1])) <= 80  # the last is a sentence
+    for told in ("99.73 %", "3.1", "9.50", "1.00", "1.20", "100"):
+        assert told in lines[3]
+    assert "after 10.0 s, 10.0 s at most; 0 honest" in lines[-1]
+    shown = fault_rows(summary)[0]["filters"][0]
+    assert shown["outside"]
+    assert shown["forged"] == 3
+    assert (shown["why"], shown["imu"]) == ("100 imu_lost", "5000 not finite")
+    assert fault_rows({}) == []
+
+
+def test_the_bundled_scenario_has_a_twin_for_each_fault():
+    scenario = load_scenario("faults")[1]
+    names = {"as stated": scenario, **{name: scenario.variant(name) for name in scenario.variants}}
+    for name, variant in names.items():
+        if has_faults(variant):
+            twin = clean_twin(variant, names)
+            assert fault_score.without_faults(variant) == fault_score.without_faults(names[twin]), name
