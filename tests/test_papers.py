@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fleetalign.cosim.papers import judging, statistics
 from fleetalign.cosim.papers import scenario as papers
-from fleetalign.cosim.papers.figures import draw_figures
+from fleetalign.cosim.papers.figures import _drawn, draw_figures
 from fleetalign.cosim.papers.judging import Held
 from fleetalign.cosim.papers.results import (
     Claim,
@@ -199,3 +199,10 @@ def test_labels_keep_their_colour_in_all_panels():
     colors = [part.split(";")[0] for part in drawn.split("stroke: ")[1:] if part.startswith("#")]
     assert drawn.count("stroke: #3d8fd1; stroke-width: 1.4") == 3, colors
     assert drawn.count("stroke: #d55e00; stroke-width: 1.4") == 2
+
+
+def test_counts_have_whole_ticks():
+    for x, whole in ((np.arange(1.0, 21.0), True), (np.linspace(0, 20, 15), False)):
+        drawn = _drawn(PaperFigure("f", "", ((Panel("x", "y", (Curve("a", x, x),)),),)))
+        ticks = drawn.axes[0].get_xticks()
+        assert (ticks % 1 == 0).all() == whole

@@ -7,6 +7,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from ..drawing import STYLE, WIDTH_IN, log_scale, svg
 from ..palette import BLUE, BROWN, GREEN, GREY, LIGHT_GREY, OLIVE, PINK, VERMILION, VIOLET
@@ -69,6 +70,8 @@ def _fill(ax: Axes, panel: Panel, colors: dict[str, str]) -> None:
     ax.set(xlabel=panel.x_label, ylabel=panel.y_label)
     if panel.title:
         ax.set_title(panel.title)
+    if all(np.equal(np.mod(curve.x, 1), 0).all() for curve in panel.curves):
+        ax.xaxis.set_major_locator(MaxNLocator("auto", integer=True))
     if panel.log_y:
         log_scale(ax)
     if panel.equal:

@@ -14,8 +14,8 @@ _CURVES: dict[str, tuple[str, Look]] = {
     "dv": ("DV-distance", "dashed"),
     "distributed": ("refined, distributed", "line"),
     "central": ("refined, central", "crosses"),
-    "central_long": ("refined, central, to the end", "points"),
     "ours": ("ours", "stars"),
+    "central_long": ("refined, central, to the end", "points"),
 }
 _Y = "mean error, % of the radius"
 
