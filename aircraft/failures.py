@@ -1,7 +1,7 @@
 """What may fail in flight: an engine, or a control that no longer moves.
 
 A control is the command that reaches the flight control system, on JSBSim's scale: its models have no
-actuators that could be held. Where there are dampers behind it, as in the F-16, they go on moving the surface.
+actuators that could be held. Dampers behind it, as the F-16 has them, go on moving the surface.
 """
 
 from typing import Annotated, Literal

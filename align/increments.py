@@ -147,6 +147,10 @@ def _moving_on(time: Array, dt: float) -> Mask:
     after the last good one than the samples since can have taken."""
     kept = np.isfinite(time)
     numbers = np.flatnonzero(kept)
+    again = np.diff(time[numbers]) == 0  # a copy takes no time
+    kept[numbers[1:][again]] = False
+    numbers = np.append(numbers[:1], numbers[1:][~again])
+    rows = np.cumsum(~np.isfinite(time) | kept)
     last = int(numbers[0])
     while True:
         later = numbers[numbers > last]
@@ -155,7 +159,7 @@ def _moving_on(time: Array, dt: float) -> Mask:
             return kept
         good = int(np.append(last, later)[back[0]])
         later = later[back[0] :]
-        due = time[good] + (later - good - 0.5) * dt
+        due = time[good] + (rows[later] - rows[good] - 0.5) * dt
         fine = np.flatnonzero(time[later] >= due)
         next_good = int(later[fine[0]]) if len(fine) else len(time)
         kept[good + 1 : next_good] = False
@@ -201,8 +205,8 @@ def _judge(value: Array, sigma: float, quantum: float, told: NDArray[np.int8]) -
     in_a_row, near = (_repeats_by_chance(p, len(value)) for p in (chance, APART * chance))
     for level in levels[count > min(near, LEAST_REPEATS)]:
         here = value == level
-        # However far apart, what cannot repeat itself does not do so at an end of what is measured.
-        full_scale = level in levels[[0, -1]] and len(value) * by_count < SCATTERED
+        # What cannot repeat itself by chance does not do so far apart either.
+        full_scale = len(_runs(here)) > 1 and len(value) * by_count < SCATTERED
         for first, end in _runs(_joined(here, APART - 1)):
             repeats, inside = int(here[first:end].sum()) - 1, value[first:end]
             one_sided = (inside <= level).all() if level > 0 else (inside >= level).all()
