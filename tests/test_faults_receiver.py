@@ -329,7 +329,7 @@ KNOWN = {DelayModel.STAMPED: 15, DelayModel.ESTIMATED: 16}
 
 @pytest.fixture(scope="module")
 def eights():
-    """Figures of eight of 200 s at 60 to 126 m/s, banked as they turn; on a steadily turning earth one of them,
+    """Figures of eight of 200 s at 60 to 126 m/s, banked in turns; as the earth turns steadily, one of them,
     repeated, is a flight as long as one likes. Truth and ideal increments of one."""
     t = DT * np.arange(-1, PERIOD + 2)
     w = 2 * np.pi / (PERIOD * DT)
