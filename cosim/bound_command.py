@@ -23,6 +23,7 @@ from .command_line import (
 )
 from .terminal import out_console, progress_bar
 
+MOST_DRAWS = 10_000
 TIMES_SHOWN = 6
 """Columns of the table on the terminal."""
 
@@ -47,8 +48,8 @@ def bound(
     from .run import alignment_window, fixes_of
     from .scenario import ScenarioError
 
-    if draws < 1:
-        raise InputError(f"--draws {draws}: at least 1")
+    if not 1 <= draws <= MOST_DRAWS:
+        raise InputError(f"--draws {draws}: allowed is [1, {MOST_DRAWS}]")
     name, settings = loaded(scenario, seed=seed)
     reason = no_bound_because(settings)
     if reason:

@@ -8,6 +8,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from ..sins.text import printable, shortened
 from .bound_command import bound
 from .campaign_command import campaign, report
 from .command_line import InputError, ScenarioArgument, loaded
@@ -18,6 +19,9 @@ from .maneuver_command import maneuver
 from .replay_command import replay
 from .run_command import run
 from .terminal import error_console, out_console
+
+MOST_LETTERS = 5000
+"""Of a line that tells a mistake: as a path may have, and some."""
 
 
 def main() -> None:
@@ -63,24 +67,28 @@ def _status(error: Exception) -> int | None:
 
 
 def _refuse(message: str) -> int:
-    for line in message.splitlines():
-        error_console.print(f"fleetalign: {line}", soft_wrap=True)
+    for line in message.split("\n"):
+        told = shortened(printable(line), MOST_LETTERS)
+        error_console.print(f"fleetalign: {told}", soft_wrap=True)
     return 2
 
 
 def check(scenario: ScenarioArgument) -> None:
     """Check a scenario without flying it."""
     from ..aircraft.airframe import load_airframe
-    from ..aircraft.envelope import Envelope
+    from ..aircraft.envelope import Envelope, FlightError
     from .papers.scenario import validated
-    from .scenario import is_paper, read_scenario
+    from .scenario import ScenarioError, is_paper, read_scenario
 
-    name, content, _ = read_scenario(scenario)
+    read = name, content, _ = read_scenario(scenario)
     if is_paper(content):
         out_console.print(f"{name}: {validated(scenario, content).title}: good", soft_wrap=True)
         return
-    _, settings = loaded(scenario)
-    Envelope(settings.flight, load_airframe(settings.flight.airframe))
+    _, settings = loaded(scenario, read=read)
+    try:
+        Envelope(settings.flight, load_airframe(settings.flight.airframe))
+    except FlightError as error:
+        raise ScenarioError(f"{printable(scenario)}: {error}") from error
     out_console.print(f"{name}: {settings.title}: good", soft_wrap=True)
 
 

@@ -11,7 +11,7 @@ from .terminal import progress_bar
 
 if TYPE_CHECKING:
     from ..aircraft.flight import Flight
-    from .scenario import Scenario
+    from .scenario import ReadScenario, Scenario
 
 ScenarioArgument = Annotated[str, typer.Argument(help="A bundled scenario (see `list`) or a TOML file.")]
 NoCache = Annotated[bool, typer.Option("--no-cache", help="Fly anew, and keep nothing.")]
@@ -25,12 +25,16 @@ class InputError(ValueError):
 
 
 def loaded(
-    scenario: str, runs: int | None = None, seed: int | None = None, filters: list[str] | None = None
+    scenario: str,
+    runs: int | None = None,
+    seed: int | None = None,
+    filters: list[str] | None = None,
+    read: "ReadScenario | None" = None,
 ) -> "tuple[str, Scenario]":
     """The scenario with the options of the command line in the place of its own. Raises `ScenarioError`."""
     from .scenario import load_scenario, replaced
 
-    name, settings = load_scenario(scenario)
+    name, settings = load_scenario(scenario, read)
     changes = {"runs": runs, "seed": seed, "alignment.filters": filters or None}
     changes = {field: value for field, value in changes.items() if value is not None}
     return name, replaced(settings, changes, origin="option")

@@ -22,6 +22,7 @@ from .terminal import out_console, progress_bar
 
 LARGEST = 2_000_000
 """Number of nodes."""
+MOST_DRAWS = 100_000
 
 
 def localize(
@@ -50,15 +51,15 @@ def localize(
     from .papers.command import Asked, study_paper
     from .scenario import is_paper, read_scenario
 
-    name, content, _ = read_scenario(scenario)
+    read = name, content, _ = read_scenario(scenario)
     if is_paper(content):
         idle = {"--nodes": nodes is not None, "--no-cache": no_cache}
         study_paper(name, Asked("localize", scenario, content, draws, seed, out, quiet, as_json, idle))
         return
     draws = 200 if draws is None else draws
-    if draws < 1:
-        raise InputError(f"--draws {draws}: at least 1")
-    name, settings = loaded(scenario, seed=seed)
+    if not 1 <= draws <= MOST_DRAWS:
+        raise InputError(f"--draws {draws}: allowed is [1, {MOST_DRAWS}]")
+    name, settings = loaded(scenario, seed=seed, read=read)
     large = nodes is not None and nodes > MOST_NODES
     grounded = settings.ground is not None and not large
     # A scenario of nodes on the ground need not have a network besides.

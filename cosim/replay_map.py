@@ -6,7 +6,7 @@ Without a map the columns are those of the project's own files: increments as in
 
 import math
 from pathlib import Path
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,8 @@ from .mistakes import told_mistakes
 from .toml import read_toml
 
 Array = NDArray[np.float64]
-Three = tuple[str, str, str]
+Column = Annotated[str, Field(max_length=200, pattern=r"^[^\n\t]+$")]
+Three = tuple[Column, Column, Column]
 
 TimeUnit = Literal["s", "ms", "us", "ns"]
 AngleUnit = Literal["rad", "deg"]
@@ -58,7 +59,7 @@ class ImuColumns(Settings):
     ``samples``, the rate and the specific force at that time, taken for straight lines between the rows."""
     axes: Literal["FRD", "RFU", "FLU"] = "FRD"
     """Order and sense of the three columns: forward, right, left, up, down."""
-    time: str = "time_s"
+    time: Column = "time_s"
     time_unit: TimeUnit = "s"
     gyro: Three = ("dtheta_x_rad", "dtheta_y_rad", "dtheta_z_rad")
     gyro_unit: Literal["rad", "deg", "arcsec", "rad/s", "deg/s", "deg/h"] = "rad"
@@ -89,23 +90,23 @@ class FixColumns(Settings):
 
     axes: Literal["NED", "ENU"] = "NED"
     """Order and sense of velocities and standard deviations; heights count upwards in either case."""
-    time: str = "time_s"
+    time: Column = "time_s"
     """When position and velocity were true, as the sender has it: the stamp."""
-    arrival: str | None = None
+    arrival: Column | None = None
     """When the fix was at hand; at its stamp if not given."""
     time_unit: TimeUnit = "s"
-    latitude: str = "lat_deg"
-    longitude: str = "lon_deg"
+    latitude: Column = "lat_deg"
+    longitude: Column = "lon_deg"
     angle_unit: AngleUnit = "deg"
-    height: str = "height_m"
+    height: Column = "height_m"
     velocity: Three = ("v_north_mps", "v_east_mps", "v_down_mps")
     velocity_unit: Literal["m/s", "km/h", "kn"] = "m/s"
     position_sd: Three | None = None
     position_sd_m: float | None = Field(default=None, ge=1e-4, le=1e5)
     velocity_sd: Three | None = None
     velocity_sd_mps: float | None = Field(default=None, ge=1e-5, le=1e3)
-    source: str | None = None
-    sequence: str | None = None
+    source: Column | None = None
+    sequence: Column | None = None
     """Numbers of the sender and of its packets; by them repeated and overtaken packets are known."""
 
     @model_validator(mode="after")

@@ -23,6 +23,9 @@ from .replay_time import TimeBase, in_order, of_fixes, uniform
 _HEIGHT_M = -1e4, 1e6
 _SPEED_MPS = 1e4
 _TIME_S = 1e12
+_SENSED = 1e12
+"""Of an IMU, in whatever unit: what is beyond overflows in sums."""
+_DEVIATION = 1e9
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,8 @@ def read_imu(file: Path, recorded: Recorded, from_s: float | None) -> RecordedIm
     time = columns[layout.time] * TIME_UNITS[layout.time_unit]
     check_range(file, layout.time, time, -_TIME_S, _TIME_S)
     units = np.repeat([layout.gyro_units[layout.gyro_unit], layout.accel_units[layout.accel_unit]], 3)
+    for name in sensors:
+        _check_finite_range(file, name, columns[name], -_SENSED, _SENSED)
     values = np.column_stack([columns[name] for name in sensors]) * units
     time, values, base = uniform(file, time, values, recorded, from_s)
     if layout.kind == "samples":
@@ -94,6 +99,8 @@ def _mapped(file: Path, layout: FixColumns, limit_s: float) -> tuple[Fixes, int,
     _check_position(file, layout, lla)
     v_n = np.column_stack([columns[name] for name in layout.velocity]) * speed @ TO_NED[layout.axes].T
     _check_finite_range(file, ", ".join(layout.velocity), v_n, -_SPEED_MPS, _SPEED_MPS)
+    for name in deviations:
+        _check_finite_range(file, name, columns[name], 0.0, _DEVIATION)
     sd = np.empty((k, 6))
     for part, names, number, unit in (
         (slice(0, 3), layout.position_sd, layout.position_sd_m, 1.0),
@@ -142,4 +149,4 @@ def _check_finite_range(file: Path, column: str, values: Array, low: float, high
     outside = (values < low) | (values > high)
     if outside.any():
         worst = values[outside][0]
-        raise ReplayError(f"{file}, column {column}: {worst:.8g}: allowed is {low:g} to {high:g}")
+        raise ReplayError(f"{file}, column {column}: {worst:.8g} is not allowed ({low:g} to {high:g})")

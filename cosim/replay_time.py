@@ -15,6 +15,8 @@ INTERVAL_S = 2e-4, 0.2
 """Between the samples of an IMU: what lies outside is a wrong unit of time."""
 LEAST_ROWS = 10
 _ROUNDING_S = 1e-6
+_MOST_INSERTED = 20
+"""Rows in gaps for each row of the file: many gaps, each within its limit, would fill the memory."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,8 @@ def uniform(
     if longest > recorded.gap_limit_s + 1.5 * dt:
         # Before the filling: a jump of years would fill the memory.
         raise _no_samples(file, float(time[np.argmax(step)]), longest, recorded)
+    if missing > _MOST_INSERTED * n:
+        raise ReplayError(f"{file}: {missing} rows are missing among {n}: allowed are {_MOST_INSERTED * n}")
     filled = np.full((place[-1] + 1, values.shape[1]), np.nan)
     filled[place] = values
     new_time = np.interp(np.arange(len(filled)), place, time)

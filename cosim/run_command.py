@@ -37,7 +37,7 @@ def run(
         list[str] | None, typer.Option("--filter", help="Filter to run; may be given again.")
     ] = None,
     run_id: Annotated[
-        int | None, typer.Option(min=0, help="Do this run alone, as it is among the others.")
+        int | None, typer.Option(min=0, max=2**31 - 1, help="Do this run alone, as it is among the others.")
     ] = None,
     variants: Annotated[
         bool, typer.Option("--variants", help="Run the scenario's variants as well, for one table.")

@@ -25,7 +25,9 @@ from ..sins.imu_faults import ImuFault
 from ..sins.settings import Settings
 from ..sins.text import printable
 from .mistakes import told_mistakes
-from .toml import read_named
+from .published import Paper
+from .sizes import check_sizes
+from .toml import field_name, read_named
 
 SCENARIO_FOLDER = resources.files("fleetalign.scenarios")
 
@@ -115,25 +117,6 @@ class Faults(Settings):
     packets: PacketFaults = PacketFaults()
 
 
-class PaperRow(Settings):
-    """One line of a published table."""
-
-    roll_arcsec: float = Field(ge=0, le=1e6)
-    pitch_arcsec: float = Field(ge=0, le=1e6)
-    heading_arcmin: float = Field(ge=0, le=1e5)
-    v_east_mps: float = Field(ge=0, le=1e3)
-    v_north_mps: float = Field(ge=0, le=1e3)
-
-
-class Paper(Settings):
-    """A published table to stand beside ours, and what can be said of the two."""
-
-    source: str
-    remarks: tuple[str, ...] = ()
-    ekf: PaperRow
-    l2linf: PaperRow
-
-
 class Scenario(Settings):
     """All that a co-simulation depends on."""
 
@@ -150,7 +133,7 @@ class Scenario(Settings):
     faults: Faults = Faults()
     ground: GroundSettings | None = None
     """Nodes on the ground that `localize` locates by the aircraft."""
-    variants: dict[str, dict[str, Any]] = Field(default={})
+    variants: dict[str, dict[str, Any]] = Field(default={}, max_length=100)
     """Other values for some fields, by their dotted names, under a name for each set."""
     paper: Paper | None = None
 
@@ -213,6 +196,11 @@ class Scenario(Settings):
         return self
 
     @model_validator(mode="after")
+    def _fits_into_memory(self) -> "Scenario":
+        check_sizes(self.alignment.duration_s, self.alignment.settings.output_rate_hz, self.fixes)
+        return self
+
+    @model_validator(mode="after")
     def _variants_are_scenarios(self) -> "Scenario":
         for name in self.variants:
             self.variant(name)
@@ -242,7 +230,10 @@ def scenario_names() -> list[str]:
     return sorted(f.name.removesuffix(".toml") for f in SCENARIO_FOLDER.iterdir() if f.name.endswith(".toml"))
 
 
-def read_scenario(name_or_path: str) -> tuple[str, dict[str, Any], Path | None]:
+ReadScenario = tuple[str, dict[str, Any], Path | None]
+
+
+def read_scenario(name_or_path: str) -> ReadScenario:
     """Name of a bundled scenario or of a TOML file, what it says, unchecked, and the folder that the file
     stands in.
 
@@ -255,12 +246,14 @@ def read_scenario(name_or_path: str) -> tuple[str, dict[str, Any], Path | None]:
     return path.stem, content, None if name_or_path in scenario_names() else path.parent
 
 
-def load_scenario(name_or_path: str) -> tuple[str, Scenario]:
-    """Name and content of a bundled scenario or of a TOML file; files it names are beside it.
+def load_scenario(name_or_path: str, read: ReadScenario | None = None) -> tuple[str, Scenario]:
+    """Name and content of a bundled scenario or of a TOML file; files it names are in its folder.
+
+    ``read`` : what `read_scenario` has made of it, if that was called before.
 
     Raises `ScenarioError`, with one line for each mistake: file, field, value, unit, what is allowed.
     """
-    name, content, folder = read_scenario(name_or_path)
+    name, content, folder = read or read_scenario(name_or_path)
     if is_paper(content):
         raise ScenarioError(f"{name_or_path}: experiment: a paper's own, which flies nothing")
     return name, _validated(printable(name_or_path), content, {"folder": folder})
@@ -283,7 +276,7 @@ def replaced(scenario: Scenario, changes: dict[str, Any], origin: str = "change"
         for part in path:
             table = table.get(part)
             if not isinstance(table, dict):
-                raise ScenarioError(f"{origin}: {name}: unknown field")
+                raise ScenarioError(f"{origin}: {field_name([name])}: unknown field")
         table[last] = value
     return _validated(origin, content, {"folder": scenario._folder, "resolved": True})
 

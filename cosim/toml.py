@@ -10,6 +10,7 @@ from typing import Any
 from ..sins.text import printable, shortened
 
 MOST_BYTES = 1_000_000
+MOST_ENTRIES = 120_000
 MOST_DEPTH = 32
 """Of tables and lists in each other, and parts of a dotted name."""
 
@@ -34,6 +35,8 @@ def read_toml(path: Path, told: str = "") -> dict[str, Any]:
         raise ValueError(f"{told}: too long: allowed are {MOST_BYTES} bytes")
     try:
         text = raw.decode("utf-8-sig")
+        if text.count(",") + text.count("\n") > MOST_ENTRIES:
+            raise ValueError(f"more than {MOST_ENTRIES} entries")
         # tomllib takes time by the square of a name's parts.
         if any(piece.count(".") > MOST_DEPTH for piece in re.split(r"[=,\n{]", _NO_NAMES.sub("", text))):
             raise ValueError(f"a name of more than {MOST_DEPTH} parts")

@@ -104,7 +104,7 @@ def read_columns(
             raise TableError(file, "stands there more than once", name)
     missing = [name for name in required if name not in names]
     if missing:
-        raise TableError(file, f"no column {', '.join(missing)}; it has {_listed(names)}")
+        raise TableError(file, f"no column {_listed(missing)}; it has {_listed(names)}")
     unknown = [name for name in names if name not in required + optional]
     if unknown and refuse_others:
         raise TableError(file, f"unknown column {_listed(unknown)}")

@@ -381,7 +381,7 @@ def test_many_nodes_are_the_study_of_scale(command, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--draws", "0"], "--draws 0: at least 1"),
+        (["--draws", "0"], "--draws 0: allowed is [1, 100000]"),
         (["--nodes", "1"], "'--nodes': Input should be greater than or equal to 2"),
         (["--nodes", "2"], "--nodes 2: allowed is [10, 2000000] with gao2009: fixes.fleet: anchor_share"),
         (

@@ -14,7 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...sins.text import shortened
+
 Array = NDArray[Any]
+
+MOST_STATES, MOST_VERTICES = 40, 64
+"""What a matrix inequality of them is still solved for in memory that there is."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,7 @@ class Plant:
                 )
         rho = self.rho
         if isinstance(rho, bool) or not isinstance(rho, int | float) or not 0 < rho <= 1:
-            raise ValueError(f"rho = {rho!r}: allowed is (0, 1]")
+            raise ValueError(f"rho = {shortened(repr(rho))}: allowed is (0, 1]")
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
@@ -84,6 +89,8 @@ def _matrix(name: str, given: object) -> Array:
         raise ValueError(f"{name}: not a matrix of numbers, with rows of one length") from None
     if matrix.ndim != 2 or 0 in matrix.shape:
         raise ValueError(f"{name}: must have rows and columns, not the shape {matrix.shape}")
+    if max(matrix.shape) > MOST_STATES:
+        raise ValueError(f"{name}: rows and columns are {matrix.shape}: allowed are {MOST_STATES}")
     if not np.isfinite(matrix).all():
         raise ValueError(f"{name}: holds a number that is not finite")
     matrix.flags.writeable = False
@@ -93,8 +100,10 @@ def _matrix(name: str, given: object) -> Array:
 def checked_polytope(vertices: Sequence[Plant]) -> tuple[Plant, ...]:
     """The vertices of one polytope. Raises ValueError for none, other shapes, or another rho among them."""
     vertices = tuple(vertices)
-    if not vertices:
-        raise ValueError("a polytope has at least one vertex")
+    if not 1 <= len(vertices) <= MOST_VERTICES:
+        raise ValueError(
+            f"a polytope has at least one vertex and at most {MOST_VERTICES}; here are {len(vertices)}"
+        )
     first = vertices[0]
     for number, plant in enumerate(vertices[1:], 2):
         if plant.shape != first.shape or plant.rho != first.rho:

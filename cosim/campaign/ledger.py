@@ -57,7 +57,7 @@ class Ledger:
         if found and not resume:
             raise ScenarioError(f"{folder}: has {len(found)} finished shards; go on with --resume")
         if not plan.is_file():
-            base = campaign.base.model_dump(mode="json")
+            base = campaign.base.model_dump(mode="json") | {"variants": {}}
             (folder / POINTS).mkdir(exist_ok=True)
             with_data_in(folder / POINTS, base)
             content = {
@@ -128,10 +128,10 @@ def read_plan(folder: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise ScenarioError(f"{told}: damaged: {shortened(printable(str(error)), 200)}") from error
     try:
-        _Plan.model_validate(content, context={"folder": folder / POINTS})
+        plan = _Plan.model_validate(content, context={"folder": folder / POINTS})
     except ValidationError as error:
         raise ScenarioError(told_mistakes(told, error, _Plan, "plan")) from error
-    return content
+    return content | {"settings": plan.settings.model_dump(mode="json")}
 
 
 def kept_base(folder: Path, plan: dict[str, Any]) -> Scenario:
@@ -168,7 +168,7 @@ def _rows(path: Path, point: int) -> pa.Table:  # pyright: ignore[reportUnknownP
                 raise _damaged(path, "more rows than a shard's")
             table = kept.read()
             table.validate(full=True)
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         raise _damaged(path, " ".join(str(error).split())) from error
     if table["point"].unique().to_pylist() != [point]:
         raise _damaged(path, f"rows of another point than {point}")

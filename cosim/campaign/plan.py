@@ -21,6 +21,7 @@ from ..toml import read_toml
 
 MOST_POINTS = 100_000
 MOST_SHARD_RUNS = 10_000
+MOST_SHARDS = 200_000
 
 
 class Values(Settings):
@@ -85,6 +86,14 @@ class CampaignFile(Settings):
             points = int(np.prod(sizes, dtype=object)) if sizes else 1
             if points > MOST_POINTS:
                 raise ValueError(f"the grid has {points} points: allowed are {MOST_POINTS}")
+        else:
+            points = self.points
+        shards = points * -(-self.runs // self.shard_runs)
+        if shards > MOST_SHARDS:
+            raise ValueError(
+                f"runs = {self.runs} at {points} points, shard_runs = {self.shard_runs}: {shards} shards;"
+                f" allowed are {MOST_SHARDS}"
+            )
         return self
 
     @field_validator("axes")
@@ -161,7 +170,9 @@ def load_campaign(path: Path) -> Campaign:
         raise ScenarioError(told_mistakes(told, error, CampaignFile, "campaign")) from error
     base = _base(path, settings.scenario)
     campaign = Campaign(settings, base, tuple(_points(settings)))
-    for point in range(len(campaign.coordinates)):
+    # A value out of its range is at one end of its axis or the other: these points first.
+    count = len(campaign.coordinates)
+    for point in dict.fromkeys((0, count - 1, *range(count))):
         try:
             campaign.scenario(point)
         except ScenarioError as error:
@@ -175,10 +186,14 @@ def _base(path: Path, name: str) -> Scenario:
     """The scenario beside the campaign's file, or the bundled one, of that name."""
     try:
         beside = inside(path.parent, name)
+        bundled = not beside.is_file() and name in scenario_names()
+        if not (bundled or beside.is_file()):
+            raise ValueError(
+                f"neither a bundled scenario ({', '.join(scenario_names())}) nor a file beside it"
+            )
     except ValueError as error:
         told = f"{printable(str(path))}: scenario = {shortened(repr(name))}: {error}"
         raise ScenarioError(told) from error
-    bundled = not beside.is_file() and name in scenario_names()
     return load_scenario(name if bundled else str(beside))[1]
 
 

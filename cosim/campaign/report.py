@@ -9,7 +9,7 @@ from rich.text import Text
 
 from ..outputs import write_json
 from ..pages import number, write_page
-from ..scenario import replaced
+from ..scenario import Scenario, replaced
 from ..scenario_file import write_scenario
 from .figures import draw_campaign
 from .ledger import POINTS, kept_base
@@ -26,6 +26,12 @@ def write_report(folder: Path, command: str) -> CampaignSummary:
     total = plan["settings"]["runs"] * len(plan["coordinates"])
     one = summary.scores[0].filter if summary.scores else ""
     done = sum(score.runs for score in summary.scores if score.filter == one)
+    base, named = kept_base(folder, plan), dict[int, Scenario]()
+    for point in {row["point"] for row in summary.worst}:
+        changes: dict[str, Any] = {"variants": {}, "seed": plan["settings"]["seed"]}
+        if plan["settings"]["filters"]:
+            changes["alignment.filters"] = plan["settings"]["filters"]
+        named[point] = replaced(base, changes | plan["coordinates"][point], f"{folder}: point {point}")
     write_json(folder / "summary.json", summary.content)
     write_page(
         folder / "report.html",
@@ -41,12 +47,7 @@ def write_report(folder: Path, command: str) -> CampaignSummary:
         shown=_shown,
     )
     (folder / POINTS).mkdir(exist_ok=True)
-    base = kept_base(folder, plan)
-    for point in {row["point"] for row in summary.worst}:
-        changes: dict[str, Any] = {"variants": {}, "seed": plan["settings"]["seed"]}
-        if plan["settings"]["filters"]:
-            changes["alignment.filters"] = plan["settings"]["filters"]
-        scenario = replaced(base, changes | plan["coordinates"][point])
+    for point, scenario in named.items():
         write_scenario(scenario, folder / POINTS / f"{point:06d}.toml")
     return summary
 

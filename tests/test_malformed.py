@@ -1,0 +1,543 @@
+"""Malformed input: whatever a file holds, it is used, or refused in a line, soon, with nothing left behind."""
+
+import contextlib
+import copy
+import io
+import json
+import random
+import shutil
+import sys
+import time
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from fleetalign.cosim import cli
+from fleetalign.cosim.campaign.ledger import Ledger
+from fleetalign.cosim.campaign.plan import load_campaign
+from fleetalign.cosim.campaign.shard import encoded
+from fleetalign.cosim.scenario import SCENARIO_FOLDER, scenario_names
+from fleetalign.network.fixes import Fixes, write_fixes
+from fleetalign.network.tables import write_columns
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+MUTATIONS = settings(
+    max_examples=500,
+    derandomize=True,
+    database=None,
+    deadline=None,
+    phases=[Phase.generate],
+    suppress_health_check=list(HealthCheck),
+)
+FEWER = settings(MUTATIONS, max_examples=150)
+LONGEST_S = 1.0
+WORDS_OF_LIBRARIES = (
+    "Traceback",
+    "Input should",
+    "pydantic",
+    "Arrow",
+    "numpy",
+    "object at 0x",
+    "Posix",
+    "<class",
+)
+
+
+class Begun(BaseException):
+    """The input is good, and the work begins."""
+
+
+def begin(*_, **__):
+    raise Begun
+
+
+WORK = (
+    "aircraft.cache.cached_flight",
+    "cosim.run.compiling_ahead",
+    "cosim.papers.command.run_experiment",
+    "align.maneuver.best_maneuver",
+    "align.lmi.design.design",
+    "cosim.campaign.engine.run_campaign",
+    "cosim.campaign.report.draw_campaign",
+    "cosim.replay._aligned",
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def without_the_work():
+    """No mutation that leaves a file good starts what it asks for."""
+    with contextlib.ExitStack() as stack:
+        for name in WORK:
+            stack.enter_context(mock.patch(f"fleetalign.{name}", begin))
+        ask("check", "gao2009")  # what is imported and compiled at the start counts for no mutation
+        ask("check", "wan2008")
+        yield
+
+
+@dataclass
+class Answer:
+    status: int | str | None
+    out: str
+    err: str
+    seconds: float
+
+
+def ask(*arguments) -> Answer:
+    """Run the command line in this process; status 0 where its work would begin."""
+    out, err, status = io.StringIO(), io.StringIO(), 0
+    begun = time.process_time()
+    with (
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+        mock.patch.object(sys, "argv", ["fleetalign", *map(str, arguments)]),
+    ):
+        try:
+            cli.main()
+        except SystemExit as end:
+            status = end.code
+        except Begun:
+            pass
+    return Answer(status, out.getvalue(), err.getvalue(), time.process_time() - begun)
+
+
+def judge(answer: Answer, files: tuple[Path, ...], out: Path) -> str:
+    """What was told of a refusal, "" if there was none; either is as it must be."""
+    assert answer.seconds < LONGEST_S, answer
+    assert answer.status in (0, 2), answer
+    if answer.status == 0:
+        shutil.rmtree(out, ignore_errors=True)
+        return ""
+    assert answer.out == ""
+    assert not out.exists()
+    lines = answer.err.removesuffix("\n").split("\n")
+    assert 1 <= len(lines) <= 21
+    assert len(set(lines)) == len(lines)
+    for line in lines:
+        assert line.startswith("fleetalign: ")
+        assert line.isprintable()
+        assert len(line) <= 1000
+        assert any(str(file) in line for file in files) or "option" in line or "--initial" in line
+        assert not any(word in line for word in WORDS_OF_LIBRARIES), line
+    return answer.err
+
+
+class Raw(str):
+    """Text that stands in a TOML file as it is."""
+
+
+DEEP = Raw("[" * 3000 + "]" * 3000)
+LIGHT = [
+    *(-1, 0, 1, 3, 1e308, -1e308, 5e-324, -0.0, 0.5, float("nan"), float("inf"), -float("inf")),
+    *(2**63 - 1, 2**63, -(2**70), 10**400, Raw("0x" + "f" * 6000), Raw("9" * 5000), True, False),
+    *("", "text", "0.5", "nan", "é\u00a0", "\x1b[2J\x07", "a\x00b", "a\u2028b\u202ec", "\n\n"),
+    *("/etc/passwd", "../../../../etc/passwd", "..", "~", "no.csv", "gao2009", "replay", "network", "{}%s"),
+    *([], {}, [[]], [{}], [1, 2, 3], ["a"], {"kind": "replay", "file": "/etc/passwd"}, {"kind": 3}),
+    *(Raw("1979-05-27"), Raw("1979-05-27T07:32:00Z"), Raw("07:32:00"), Raw("1e400")),
+    *(DEEP, Raw("[" * 900 + "]" * 900), Raw("[" * 40 + "]" * 40)),
+    *(Raw("{ " + ".".join("a" * 5000) + " = 1 }"), Raw("{ " + ".".join("a" * 40) + " = 1 }")),
+]
+HEAVY = [
+    *("x" * 950_000, [0.5] * 100_000, ["y"] * 100_000, [{}] * 10_000, [-1] * 10_000),
+    {f"k{i}": i for i in range(10_000)},
+]
+
+
+def odd_value(rng: random.Random):
+    return copy.deepcopy(rng.choice(HEAVY if rng.random() < 0.03 else LIGHT))
+
+
+NAMES = [
+    "unknown",
+    "",
+    "é",
+    "a.b",
+    "\x1b]0;x\x07",
+    "n" * 100_000,
+    "kind",
+    "file",
+    "title",
+    "seed",
+    "__class__",
+]
+
+
+def toml(value) -> str:
+    """A value as TOML, all in one line."""
+    if isinstance(value, Raw):
+        return str(value)
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(k)} = {toml(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    if isinstance(value, bool | str):
+        return json.dumps(value)
+    if isinstance(value, int) and abs(value) > 10**300:
+        return f"1{'0' * 400}"
+    return repr(value)
+
+
+def nodes(table, where=()):
+    """Places of all entries of a content."""
+    for key, value in table.items() if isinstance(table, dict) else enumerate(table):
+        yield (*where, key)
+        if isinstance(value, dict | list):
+            yield from nodes(value, (*where, key))
+
+
+def mutant(rng: random.Random, content) -> tuple[dict, list]:
+    """A content with one to three entries that are others, gone, unknown or nested wrongly; and where."""
+    content, places = copy.deepcopy(content), []
+    for place in rng.sample(sorted(nodes(content), key=str), rng.randint(1, 3)):
+        table = content
+        try:
+            for part in place[:-1]:
+                table = table[part]
+            table[place[-1]]
+        except (KeyError, IndexError, TypeError):  # an earlier mutation took it away
+            continue
+        key = place[-1]
+        match rng.choice(["other"] * 5 + ["gone", "unknown", "list", "table"]):
+            case "gone":
+                del table[key]
+            case "unknown" if isinstance(table, dict):
+                key = rng.choice(NAMES)
+                table[key] = odd_value(rng)
+            case "list":
+                table[key] = [table[key]]
+            case "table":
+                table[key] = {"a": table[key]}
+            case _:
+                table[key] = odd_value(rng)
+        places.append((*place[:-1], key))
+        if rng.random() < 0.7:
+            break
+    return content, places
+
+
+ODD = [b"\x00", b"\xff\xfe", b"\xef\xbb\xbf", b"\r", b'"', b"[", b"]", b"=", b"'''", b"\x1b[2J", b"\n", b","]
+
+
+def damaged(rng: random.Random, raw: bytes) -> bytes:
+    """Bytes cut off, flipped, put in, taken out, or standing there twice."""
+    for _ in range(rng.randint(1, 4)):
+        a, b = sorted((rng.randint(0, len(raw)), rng.randint(0, len(raw))))
+        match rng.choice(["cut", "flip", "put", "twice", "out"]):
+            case "cut":
+                raw = raw[:a]
+            case "flip" if a < len(raw):
+                raw = raw[:a] + bytes([raw[a] ^ rng.randint(1, 255)]) + raw[a + 1 :]
+            case "twice":
+                raw = raw[:b] + raw[a:b] + raw[b:]
+            case "out":
+                raw = raw[:a] + raw[b:]
+            case _:
+                raw = raw[:a] + rng.choice(ODD) * rng.choice([1, 1, 3, 5000]) + raw[a:]
+    return raw
+
+
+def written(content) -> bytes:
+    return "\n".join(f"{json.dumps(k)} = {toml(v)}" for k, v in content.items()).encode()
+
+
+OWN = """
+title = "Of all kinds"
+runs = 3
+outages = [{ start_s = 2.0, duration_s = 1.0 }]
+[alignment]
+filters = ["l2linf"]
+[fixes]
+delay = { kind = "replay", file = "data/delays.csv", column = "delay_ms" }
+[variants.noisy]
+"fixes.position_sd_m" = 20.0
+[variants.late]
+"fixes.delay" = { kind = "replay", file = "data/delays.csv" }
+"""
+RECORDED = """
+title = "Fixes of a file"
+[fixes]
+kind = "replay"
+file = "fixes.parquet"
+"""
+SCENARIOS = [SCENARIO_FOLDER.joinpath(f"{name}.toml").read_text() for name in scenario_names()] + [OWN] * 3
+SCENARIOS += [RECORDED]
+COMMANDS = ("check", "run", "fly", "localize", "bound", "maneuver")
+
+
+def fixes_of_a_straight_flight(k=30) -> Fixes:
+    t = np.arange(k) * 0.1
+    lla = np.column_stack([0.5 + 10.0 * t / 6_371_000, np.full(k, 2.0), np.full(k, 100.0)])
+    cov = np.tile(np.diag([1.0] * 3 + [0.01] * 3), (k, 1, 1))
+    v_n = np.tile([10.0, 0.0, 0.0], (k, 1))
+    return Fixes(t, t, t + 0.02, lla, v_n, cov, np.zeros(k, np.int64), np.arange(k))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """With all the files that files name."""
+    folder = tmp_path_factory.mktemp("malformed")
+    (folder / "data").mkdir()
+    (folder / "data/delays.csv").write_text("delay_ms\n10\n30\n")
+    time_s = np.arange(320) * 0.01
+    imu = {"time_s": time_s, "dtheta_x_rad": np.full(320, 1e-5), "dv_z_mps": np.full(320, -0.098)}
+    imu |= dict.fromkeys(("dtheta_y_rad", "dtheta_z_rad", "dv_x_mps", "dv_y_mps"), np.zeros(320))
+    for suffix in (".csv", ".parquet"):
+        write_fixes(fixes_of_a_straight_flight(), folder / f"fixes{suffix}")
+        write_columns(imu, folder / f"imu{suffix}")
+    (folder / "base.toml").write_text(OWN)
+    campaign_in(folder)
+    return folder
+
+
+def entries(folder):
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if not path.name.startswith("mine")}
+
+
+RANDOM = st.randoms(use_true_random=True)
+
+
+@MUTATIONS
+@given(RANDOM)
+def test_scenarios(folder, rng):
+    file, out = folder / "mine.toml", folder / "out"
+    text = rng.choice(SCENARIOS)
+    if rng.random() < 0.7:
+        file.write_bytes(written(mutant(rng, tomllib.loads(text))[0]))
+    else:
+        file.write_bytes(damaged(rng, text.encode()))
+    before, command = entries(folder), rng.choice(COMMANDS)
+    judge(ask(command, file, *([] if command == "check" else ["--out", out])), (file,), out)
+    assert entries(folder) == before
+
+
+CAMPAIGN = """
+title = "Points"
+scenario = "base.toml"
+runs = 4
+shard_runs = 2
+filters = ["ekf", "l2linf"]
+[axes."fixes.position_sd_m"]
+values = [5.0, 20]
+[axes."fixes.velocity_sd_mps"]
+low = 0.1
+high = 0.4
+steps = 2
+log = true
+"""
+HYPERCUBE = CAMPAIGN.replace("shard_runs = 2", 'design = "latin_hypercube"\npoints = 3')
+
+
+@MUTATIONS
+@given(RANDOM)
+def test_campaigns(folder, rng):
+    file, out = folder / "mine.toml", folder / "out"
+    text = rng.choice([CAMPAIGN, HYPERCUBE])
+    if rng.random() < 0.7:
+        file.write_bytes(written(mutant(rng, tomllib.loads(text))[0]))
+    else:
+        file.write_bytes(damaged(rng, text.encode()))
+    before = entries(folder)
+    judge(ask("campaign", file, "--out", out), (file, folder / "base.toml"), out)
+    assert entries(folder) == before
+
+
+MAP = """
+title = "A recording"
+[recorded]
+gap_limit_s = 0.5
+[recorded.imu]
+kind = "increments"
+axes = "FRD"
+gyro = ["dtheta_x_rad", "dtheta_y_rad", "dtheta_z_rad"]
+[initial]
+roll_deg = 0.0
+pitch_deg = 0.0
+heading_deg = 0.0
+level_sd_deg = 1.0
+[alignment]
+filters = ["l2linf", "ekf_stamped"]
+[alignment.settings]
+horizon_s = 1.0
+"""
+CELLS = [
+    "x",
+    "",
+    "nan",
+    "-inf",
+    "1e999",
+    "-1e308",
+    "9" * 400,
+    "1e-320",
+    "\x1b[2J",
+    "y" * 100_000,
+    '"',
+    "0x1",
+    "é",
+    "1,2",
+]
+
+
+def spoilt_table(rng: random.Random, text: str) -> bytes:
+    """A CSV table with odd cells, columns or rows."""
+    rows = [line.split(",") for line in text.splitlines()]
+    at, column = rng.randrange(1, len(rows)), rng.randrange(len(rows[0]))
+    match rng.randrange(9):
+        case 0:
+            rows = [row[:column] + row[column + 1 :] for row in rows]
+        case 1:
+            rows = [[*row, row[column]] for row in rows]
+        case 2:
+            rng.shuffle(rows)
+        case 3:
+            rows[at] = rows[at][:column]
+        case 4:
+            rows = rows[: rng.choice([0, 1, 2, 5])]
+        case 5:
+            rows[0][column] = rng.choice([*NAMES[:-1], rows[0][0], "1"])
+        case 6:
+            for row in rows[1:]:
+                row[column] = rng.choice([*CELLS[:8], "7"])
+        case 7:
+            return damaged(rng, text.encode())
+        case _:
+            rows[at][column] = rng.choice(CELLS)
+    return "\n".join(map(",".join, rows)).encode()
+
+
+ODD_COLUMNS = (
+    lambda k: pa.array(["a"] * k),
+    lambda k: pa.array([b"\xff"] * k),
+    lambda k: pa.array([None] * k),
+    lambda k: pa.array([True] * k),
+    lambda k: pa.array([[1.0]] * k),
+    lambda k: pa.array([{"a": 1}] * k),
+    lambda k: pa.array([2**63 - 1] * k),
+    lambda k: pa.array(np.full(k, 2**64 - 1, np.uint64)),
+    lambda k: pa.array(np.full(k, 2**62), pa.timestamp("ns")),
+    lambda k: pa.array(["a"] * k).dictionary_encode(),
+    lambda k: pa.array([np.nan] * k),
+    lambda k: pa.array([-1e308] * k),
+    lambda k: pa.array([0] * k, pa.decimal128(20, 3)),
+    lambda k: pa.array(np.full(k, 1, np.float16)),
+)
+
+
+def spoilt_parquet(rng: random.Random, file: Path) -> bytes:
+    """A Parquet file with damaged bytes, or whole with an odd column."""
+    if rng.random() < 0.5:
+        return damaged(rng, file.read_bytes())
+    table = pq.read_table(file)
+    at = rng.randrange(table.num_columns)
+    odd = rng.choice(ODD_COLUMNS)(len(table))
+    name = rng.choice([table.column_names[at]] * 3 + [table.column_names[0], "\x1b", "n" * 100_000])
+    table = table.set_column(at, name, odd) if rng.random() < 0.8 else table.append_column(name, odd)
+    held = io.BytesIO()
+    pq.write_table(table, held)
+    return held.getvalue()
+
+
+@MUTATIONS
+@given(RANDOM)
+def test_recordings(folder, rng):
+    suffix, out = rng.choice([".csv", ".parquet"]), folder / "out"
+    files = {name: folder / f"mine_{name}{suffix}" for name in ("imu", "fixes")} | {
+        "map": folder / "mine.toml"
+    }
+    for name in ("imu", "fixes"):
+        shutil.copy(folder / f"{name}{suffix}", files[name])
+    files["map"].write_text(MAP)
+    spoilt = rng.choice(["imu", "fixes", "map"])
+    if spoilt != "map":
+        whole = folder / f"{spoilt}{suffix}"
+        change = spoilt_parquet(rng, whole) if suffix == ".parquet" else spoilt_table(rng, whole.read_text())
+        files[spoilt].write_bytes(change)
+    elif rng.random() < 0.7:
+        files["map"].write_bytes(written(mutant(rng, tomllib.loads(MAP))[0]))
+    else:
+        files["map"].write_bytes(damaged(rng, MAP.encode()))
+    before = entries(folder)
+    options = [part for name, file in files.items() for part in (f"--{name}", file)]
+    judge(ask("replay", *options, "--out", out), tuple(files.values()), out)
+    assert entries(folder) == before
+
+
+def campaign_in(folder: Path) -> Path:
+    """A campaign's folder with two finished shards of made-up rows."""
+    file = folder / "campaign.toml"
+    file.write_text(CAMPAIGN)
+    campaign = load_campaign(file)
+    ledger = Ledger(folder / "kept", campaign, resume=False)
+    for shard in campaign.shards[:2]:
+        rows = [
+            {"point": shard.point, "run": shard.first_run + run, "filter": name, "failure": None}
+            | dict.fromkeys(
+                ("roll_arcsec", "pitch_arcsec", "heading_arcmin", "v_east_mps", "v_north_mps"), 1.0
+            )
+            | {"nees": 3.0, "nis": 6.0, "fused": 9, "fixes": 10}
+            | {name: [1.0, 2.0] for name in HISTORIES}
+            for run in range(shard.runs)
+            for name in ("ekf", "l2linf")
+        ]
+        ledger.add(shard, encoded(rows))
+    return folder / "kept"
+
+
+HISTORIES = ("history_time_s", "level_history_arcsec", "heading_history_arcmin")
+
+
+@MUTATIONS
+@given(RANDOM)
+def test_folders_of_campaigns(folder, rng):
+    kept, out = folder / "mine", folder / "out"
+    shutil.rmtree(kept, ignore_errors=True)
+    shutil.copytree(folder / "kept", kept)
+    plan, shard = kept / "campaign.json", rng.choice(sorted((kept / "shards").iterdir()))
+    match rng.randrange(4):
+        case 0:
+            content, _ = mutant(rng, json.loads(plan.read_text()))
+            plan.write_text(as_json(content))
+        case 1:
+            plan.write_bytes(damaged(rng, plan.read_bytes()))
+        case 2:
+            shard.write_bytes(spoilt_parquet(rng, shard))
+        case _:
+            names = (
+                "p999999_r0000000.parquet",
+                "p000001_r0000000.parquet",
+                "x.parquet",
+                "p-00001_r1.parquet",
+            )
+            shard.rename(shard.with_name(rng.choice(names)))
+    before = entries(folder)
+    answer = ask("report", kept)
+    if judge(answer, (kept,), out):
+        assert entries(folder) == before
+
+
+def as_json(value) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(k)}: {as_json(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(as_json, value)) + "]"
+    return str(value) if isinstance(value, Raw) else json.dumps(value)
+
+
+PLANTS = [
+    SCENARIO_FOLDER.joinpath("plants", f"{name}.toml").read_text() for name in ("two_state", "two_vertices")
+]
+
+
+@FEWER
+@given(RANDOM)
+def test_plants(folder, rng):
+    file, text = folder / "mine.toml", rng.choice(PLANTS)
+    if rng.random() < 0.7:
+        file.write_bytes(written(mutant(rng, tomllib.loads(text))[0]))
+    else:
+        file.write_bytes(damaged(rng, text.encode()))
+    judge(ask("lmi", file), (file,), folder / "out")
