@@ -166,8 +166,8 @@ def _means(rows: Array, window: int, most: int) -> Array:
 
 
 def _covariances(seen: Evidence) -> tuple[Array, Array]:
-    """(n, B, B) of each node's state at the first epoch, with the pairs that ranged each other at any of them,
-    and the part of it that is of the anchors' errors.
+    """(n, B, B) of each node's state at the first epoch, of all pairs that ranged each other at any;
+    and the part that is of the anchors' errors.
 
     An epoch with fewer pairs has smaller gradients than these say, never larger ones.
     """
