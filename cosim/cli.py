@@ -42,7 +42,7 @@ def _main() -> None:
         if status == 130:  # what typer makes of Ctrl-C
             raise KeyboardInterrupt
     except typer.TyperException as error:
-        status = _refuse(getattr(error, "format_message", error.__str__)())
+        status = _refuse(_told(error))
     except (typer.Abort, KeyboardInterrupt):
         error_console.print("stopped")
         status = 1
@@ -51,6 +51,18 @@ def _main() -> None:
         if status is None:
             raise
     sys.exit(status or 0)
+
+
+def _told(error: typer.TyperException) -> str:
+    """What typer refuses, in a line."""
+    from pydantic import ValidationError
+
+    from .mistakes import told_option
+
+    parameter = getattr(error, "param", None)
+    if parameter is not None and isinstance(error.__cause__, ValidationError):
+        return told_option(parameter.opts[0], error.__cause__)
+    return getattr(error, "format_message", error.__str__)()
 
 
 def _status(error: Exception) -> int | None:

@@ -54,6 +54,8 @@ _WORDS = {
     "too_short": "has {actual_length} entries: allowed are {min_length} or more",
     "too_long": "has too many entries: allowed are {max_length}",
     "string_pattern_mismatch": "must fit {pattern}",
+    "greater_than_equal": "must be {ge} or more",
+    "less_than_equal": "must be {le} or less",
 }
 """For kinds of pydantic's errors; in braces what their context has."""
 
@@ -95,13 +97,21 @@ def _told(mistake: Any, schema: Schema, whole: str) -> tuple[str, str]:
         return field, f"{field}.kind = {_shown(tag)}: allowed are {expected}"
     unit = _unit(parts)
     shown = "" if isinstance(value, dict) or not field else f" = {_shown(value)} {unit}".rstrip()
-    if allowed:
-        told = f"allowed is {allowed} {unit}".rstrip()
-    elif kind in _WORDS:
-        told = _WORDS[kind].format_map(mistake.get("ctx", {}))
-    else:
-        told = mistake["msg"].removeprefix("Value error, ")
+    told = f"allowed is {allowed} {unit}".rstrip() if allowed else _words(mistake)
     return field, f"{field}{shown}: {told}" if field else told
+
+
+def told_option(option: str, error: ValidationError) -> str:
+    """The line for pydantic's error about the value of an option of the command line."""
+    mistake = error.errors(include_url=False)[0]
+    return f"{option} = {_shown(mistake['input'])}: {_words(mistake)}"
+
+
+def _words(mistake: Any) -> str:
+    if mistake["type"] in _WORDS:
+        return _WORDS[mistake["type"]].format_map(mistake.get("ctx", {}))
+    ours = mistake["type"] == "value_error"
+    return mistake["msg"].removeprefix("Value error, ") if ours else "is not allowed"
 
 
 def _shown(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""Malformed input: whatever a file holds, it is used, or refused in a line, soon, with nothing left behind."""
+"""Malformed input: whatever a file holds, it is used, or refused in a line, soon, and leaves nothing."""
 
 import contextlib
 import copy
@@ -541,3 +541,249 @@ def test_plants(folder, rng):
     else:
         file.write_bytes(damaged(rng, text.encode()))
     judge(ask("lmi", file), (file,), folder / "out")
+
+
+HUGE = str(10**30)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        *((("run", "--runs", value), "runs") for value in ("-1", "0", "nan", HUGE, "9" * 5000, "1.5")),
+        *((("run", "--seed", value), "seed") for value in ("-1", str(2**70), "0x1", "")),
+        *((("run", "--run-id", value), "--run-id") for value in ("-1", HUGE)),
+        *((("run", "--filter", value), "filter") for value in ("", "n" * 100_000, "\x1b[2J", "ekf\nekf")),
+        *((("campaign", "base.toml", "--workers", value), "--workers") for value in ("0", "-3", HUGE, "two")),
+        *((("localize", "--nodes", value), "--nodes") for value in ("-1", "1", "nan", HUGE)),
+        *((("localize", "--draws", value), "--draws") for value in ("-1", HUGE)),
+        *((("bound", "--draws", value), "--draws") for value in ("0", HUGE)),
+        *((("maneuver", "--duration-s", value), "duration_s") for value in ("nan", "-1", "inf", "1e308")),
+        *((("maneuver", "--velocity-sd-mps", value), "velocity_sd_mps") for value in ("nan", "-1", "1e-320")),
+        (("lmi", "--kind", "k" * 100_000), "--kind"),
+        *(
+            (("check", value), "")
+            for value in ("", ".", "/", "\x1b[2J", "x" * 5000, "/dev/null", "\udcff.toml")
+        ),
+        *((("replay", "--imu", value, "--fixes", "no.csv"), "") for value in ("", ".", "/", "\x1b.csv")),
+        (("report", "/dev/null"), "/dev/null: no campaign"),
+        (("report", "/proc/self/mem"), "no campaign"),
+    ],
+)
+def test_options(arguments, told):
+    answer = ask(*arguments)
+    assert answer.status == 2
+    assert told in answer.err
+    assert answer.err.count("\n") == 1
+    assert answer.err[:-1].isprintable()
+    assert len(answer.err) < 6000
+    assert not any(word in answer.err for word in WORDS_OF_LIBRARIES)
+    assert answer.seconds < LONGEST_S
+
+
+@pytest.mark.parametrize("command", [("run",), ("localize",), ("bound",), ("campaign", "campaign.toml")])
+def test_an_output_folder_that_is_none_is_refused(folder, command):
+    arguments = [folder / part if part.endswith(".toml") else part for part in command]
+    for out in (folder / "base.toml", folder / "base.toml/inside", "/proc/none", folder / ("n" * 300)):
+        answer = ask(*arguments, "--out", out)
+        assert answer.status == 2
+        assert answer.err.startswith(f"fleetalign: --out {out}: cannot be written: ")
+        assert answer.err.count("\n") == 1
+
+
+OUTSIDE = "outside the folder of the file that names it"
+
+
+@pytest.fixture
+def rooms(tmp_path):
+    """A folder with a secret beside it, and links out of it and within it."""
+    room = tmp_path / "room"
+    (room / "sub").mkdir(parents=True)
+    for place in (tmp_path, room, room / "sub"):
+        (place / "delays.csv").write_text("delay_ms\n10\n30\n")
+        (place / "five.toml").write_text('title = "Five"\nruns = 2\n')
+    (room / "out.csv").symlink_to(tmp_path / "delays.csv")
+    (room / "out").symlink_to(tmp_path)
+    (room / "in.csv").symlink_to(room / "sub/delays.csv")
+    (room / "loop.csv").symlink_to(room / "loop.csv")
+    return room
+
+
+@pytest.mark.parametrize(
+    ("named", "why"),
+    [
+        ("delays.csv", ""),
+        ("sub/delays.csv", ""),
+        ("sub/../delays.csv", ""),
+        ("in.csv", ""),
+        ("../delays.csv", OUTSIDE),
+        ("sub/../../delays.csv", OUTSIDE),
+        ("out.csv", OUTSIDE),
+        ("out/delays.csv", OUTSIDE),
+        ("loop.csv", "cannot be read"),
+        ("sub", "is no file"),
+        ("", "is no file"),
+        ("{room}/delays.csv", "an absolute path"),
+        ("/etc/hostname", "an absolute path"),
+    ],
+)
+def test_no_path_in_a_scenario_reaches_outside(rooms, named, why):
+    named = named.format(room=rooms)
+    delay = f'{{ kind = "replay", file = {json.dumps(named)} }}'
+    file = rooms / "mine.toml"
+    for text in (f"[fixes]\ndelay = {delay}\n", f'[variants.a]\n"fixes.delay" = {delay}\n'):
+        file.write_text(f'title = "Paths"\n{text}')
+        answer = ask("check", file)
+        # What stands in a variant has a folder already: an absolute path in it may stay.
+        inside = named == f"{rooms}/delays.csv" and "variants" in text
+        assert answer.status == (2 if why and not inside else 0)
+        if answer.status:
+            assert "fixes.delay.file" in answer.err
+            assert why in answer.err or ("variants" in text and OUTSIDE in answer.err)
+            assert answer.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("named", "why"),
+    [
+        ("five.toml", ""),
+        ("sub/five.toml", ""),
+        ("gao2009", ""),
+        ("../five.toml", OUTSIDE),
+        ("out/five.toml", OUTSIDE),
+        ("{room}/five.toml", "an absolute path"),
+        ("sub", "is no file"),
+    ],
+)
+def test_no_path_in_a_campaign_reaches_outside(rooms, monkeypatch, named, why):
+    # A scenario of that name where the command is typed is not the one beside the campaign.
+    monkeypatch.chdir(rooms.parent)
+    file = rooms / "mine.toml"
+    named = named.format(room=rooms)
+    file.write_text(f'title = "Paths"\nscenario = {json.dumps(named)}\n')
+    answer = ask("campaign", file, "--out", rooms / "kept")
+    assert answer.status == (2 if why else 0)
+    assert why in answer.err
+    assert not why or f"mine.toml: scenario = {named[:40]!r}"[:-1] in answer.err
+    file.write_text(
+        'title = "x"\nscenario = "five.toml"\n[axes."fixes.delay.file"]\nvalues = ["../delays.csv"]\n'
+    )
+    answer = ask("campaign", file, "--out", rooms / "another")
+    assert "fixes.delay.file: a file is no axis" in answer.err
+
+
+def test_a_foreign_folder_makes_a_report_read_nowhere_else(rooms):
+    (rooms / "five.toml").write_text(
+        'title = "Five"\n[fixes]\ndelay = { kind = "replay", file = "sub/delays.csv" }\n'
+    )
+    file, kept = rooms / "campaign.toml", rooms / "kept"
+    file.write_text('title = "Own copies"\nscenario = "five.toml"\nruns = 2\n')
+    Ledger(kept, load_campaign(file), resume=False)
+    shutil.rmtree(rooms / "sub")
+    assert ask("report", kept).status == 0
+    plan = kept / "campaign.json"
+    content = json.loads(plan.read_text())
+    assert content["base"]["fixes"]["delay"]["file"] == "delays.csv"
+    for named in ("/etc/hostname", "../../delays.csv", str(kept / "points/delays.csv")):
+        content["base"]["fixes"]["delay"]["file"] = named
+        plan.write_text(json.dumps(content))
+        answer = ask("report", kept)
+        assert answer.status == 2
+        assert "base.fixes.delay.file" in answer.err
+        assert OUTSIDE in answer.err or "an absolute path" in answer.err
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (
+            "[alignment]\nduration_s = 3600\nstart = 0\n[flight]\ns_start_s = 3600\n[fixes]\nrate_hz = 1000",
+            "rate_hz",
+        ),
+        (
+            "[alignment]\nduration_s = 3600\nstart = 0\n[alignment.settings]\noutput_rate_hz = 1000\n"
+            "[flight]\ns_start_s = 3600",
+            "output_rate_hz",
+        ),
+        (
+            "[alignment]\nduration_s = 3600\nstart = 0\n[flight]\ns_start_s = 3600\n"
+            '[fixes]\nkind = "network"\nrate_hz = 100\n[fixes.fleet]\nnodes = 40',
+            "fixes.fleet.nodes = 40",
+        ),
+        ("".join(f"[variants.v{i}]\nruns = 1\n" for i in range(101)), "variants"),
+        ("outages = [" + "{ start_s = 0, duration_s = 1 }, " * 101 + "]", "outages"),
+    ],
+)
+def test_what_would_fill_the_memory_is_refused(tmp_path, text, told):
+    file = tmp_path / "mine.toml"
+    file.write_text(f'title = "Large"\n{text}\n')
+    assert told in judge(ask("check", file), (file,), tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("runs = 1_000_000\nshard_runs = 1", "shard_runs = 1: 1000000 shards"),
+        (
+            "".join(f"[axes.a{i}]\nlow = 0\nhigh = 1\nsteps = 1000\n" for i in range(20)),
+            "points: allowed are 100000",
+        ),
+        ("".join(f"[axes.a{i}]\nlow = 0\nhigh = 1\n" for i in range(21)), "axes"),
+        ("[axes.seed]\nlow = 0\nhigh = 1\nsteps = 1_000_000_000", "steps = 1000000000"),
+        ('[axes."fixes.rate_hz"]\nlow = 1\nhigh = 1e9\nsteps = 10_000', "fixes.rate_hz = 1000000000.0"),
+    ],
+)
+def test_campaigns_of_too_many_runs_are_refused(folder, text, told):
+    file = folder / "mine.toml"
+    file.write_text(f'title = "Large"\nscenario = "base.toml"\n{text}\n')
+    assert told in judge(ask("campaign", file, "--out", folder / "out"), (file,), folder / "out")
+
+
+def test_a_small_file_of_many_rows_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("fleetalign.network.tables.MOST_ROWS", 1000)
+    write_columns({"delay_ms": np.zeros(1001)}, tmp_path / "delays.parquet")
+    file = tmp_path / "mine.toml"
+    file.write_text('title = "x"\n[fixes]\ndelay = { kind = "replay", file = "delays.parquet" }\n')
+    answer = ask("check", file)
+    assert answer.status == 2
+    assert "1001 rows: allowed are 1000" in answer.err
+
+
+def test_gaps_do_not_fill_the_memory(folder, tmp_path):
+    time_s = np.cumsum(np.where(np.arange(200) % 3, 0.01, 50.0))
+    table = pq.read_table(folder / "imu.parquet").slice(0, 200).to_pydict() | {"time_s": time_s}
+    write_columns(table, tmp_path / "imu.csv")
+    (tmp_path / "map.toml").write_text(MAP.replace("gap_limit_s = 0.5", "gap_limit_s = 60"))
+    answer = ask(
+        *("replay", "--imu", tmp_path / "imu.csv", "--fixes", folder / "fixes.csv"),
+        *("--map", tmp_path / "map.toml", "--out", tmp_path / "out"),
+    )
+    assert answer.status == 2
+    assert "rows are missing among 200: allowed are 4000" in answer.err
+
+
+def test_a_number_is_no_text_and_no_truth_value(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text('title = "x"\n[alignment.settings]\nlever_arm_b_m = [1, "2", true]\n')
+    assert ask("check", file).err.splitlines() == [
+        f"fleetalign: {file}: alignment.settings.lever_arm_b_m.{i} = {value} m: allowed is [-100, 100] m"
+        for i, value in ((1, "'2'"), (2, "True"))
+    ]
+
+
+def test_an_entry_of_a_list_is_told_in_the_words_of_its_field(tmp_path):
+    text = SCENARIO_FOLDER.joinpath("wan2008.toml").read_text()
+    content = tomllib.loads(text)
+    content["experiment"]["range_error_shares"] = [0.1, -0.02]
+    file = tmp_path / "mine.toml"
+    file.write_bytes(written(content))
+    assert ask("check", file).err == (
+        f"fleetalign: {file}: experiment.range_error_shares.1 = -0.02: allowed is [0.001, 0.5]\n"
+    )
+
+
+def test_many_mistakes_are_told_in_few_lines(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text('title = "x"\n' + "".join(f"unknown{i} = 1\n" for i in range(1000)))
+    lines = ask("check", file).err.splitlines()
+    assert len(lines) == 21
+    assert lines[-1] == f"fleetalign: {file}: and 980 more mistakes"
