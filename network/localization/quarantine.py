@@ -25,6 +25,9 @@ from .problem import Array, Booleans, Integers
 WINDOWS_S = (0.0, 1.0, 3.0)
 """Lengths of the windows; the first is one epoch. Over longer ones the geometry changes, and the bias of a
 loss that doubts long ranges shows."""
+_MARGIN = 1.2
+"""On all limits: standard deviations are known to that, where the geometry changes within a window, nodes fly
+by each other, and a loss doubts some ranges."""
 _CUT = 3.0
 """Standard deviations at which a node's residuals are cut off, so that a few cannot speak for all."""
 _UNTOLD = 0.05
@@ -111,7 +114,8 @@ class Monitor:
         new = len(seen.t)
         self._shifts = np.concatenate([self._shifts.reshape(-1, *seen.states.shape[1:]), _gradients(seen)])
         self._biases = np.concatenate([self._biases.reshape(-1, len(self._anchor)), _biases(seen)])
-        limits = np.sqrt(chi2.isf(self._chance, seen.states.shape[2])), norm.isf(self._chance / 2)
+        alone = np.sqrt(chi2.isf(self._chance, seen.states.shape[2])), norm.isf(self._chance / 2)
+        limits = _MARGIN * np.array(alone)
         excess = np.zeros((new, 2, len(self._anchor)))
         cov = _covariances(seen)
         for window in self._windows:
