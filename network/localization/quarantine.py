@@ -98,6 +98,12 @@ class Monitor:
         self._chance = settings.false_alarms_per_hour / tests
         self._forget()
 
+    @property
+    def may_leave_out_an_anchor(self) -> bool:
+        """Whether fewer than half would be left out then."""
+        left_out = np.count_nonzero(self._anchor & (self.reason != QuarantineReason.NONE))
+        return bool(2 * (left_out + 1) < np.count_nonzero(self._anchor))
+
     def judge(self, seen: Evidence) -> Found | None:
         """The first node that is found out, and the epoch; what came after it is then not looked at.
 
@@ -105,9 +111,7 @@ class Monitor:
         """
         self._note_suspects(seen)
         fallible = self._anchor & seen.started & (self.reason == QuarantineReason.NONE)
-        left_out = np.count_nonzero(self._anchor & (self.reason != QuarantineReason.NONE))
-        if 2 * (left_out + 1) >= self._anchor.sum():
-            fallible[:] = False
+        fallible &= self.may_leave_out_an_anchor
         disbelieved = self.reason == QuarantineReason.BELIEF
         judged = (fallible | disbelieved | ~self._anchor) & (self.reason != QuarantineReason.RANGES)
         judged[OWN_SHIP] = False
