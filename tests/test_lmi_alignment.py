@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fleetalign.align.estimate import FixOutcome, RunOutcome
+from fleetalign.align.estimate import FixOutcome, NavStatus, RunOutcome
 from fleetalign.align.lmi.alignment import align_lmi, ekf_ten, gain_schedule, white
 from fleetalign.align.lmi.design import DesignError, Kind, Outcome, design
 from fleetalign.align.lmi.plant import MATRICES, Plant
@@ -38,6 +38,10 @@ def turning_record(dt=0.01):
     rate = SIDE / 200 * np.tan(plan) / np.tan(turn)
     dtheta = np.column_stack([np.gradient(plan, dt), rate * np.sin(plan), rate * np.cos(plan)]) * dt
     dv = np.column_stack([0 * plan, 0 * plan, -9.79 / np.cos(plan)]) * dt
+    # Without noise, axes that repeat themselves would be taken for stuck.
+    rng = np.random.default_rng(5)
+    dtheta += 1e-7 * rng.standard_normal(dtheta.shape)
+    dv += 1e-5 * rng.standard_normal(dv.shape)
     time = np.arange(len(plan)) * dt
     start = NavigationState(
         np.array([0.52, 2.1, 1015.0]),
@@ -232,7 +236,11 @@ def test_fixes_that_do_not_count(record, level):
     assert outcome[n] == FixOutcome.DUPLICATE
     assert outcome[15] == FixOutcome.PENDING
     assert found.count(FixOutcome.FUSED) == n - 4
+    since = found.time - arrival[n - 2]  # the last that counts
+    assert set(found.status[(since < 2.9) & (found.time > 0.2)]) == {NavStatus.AIDED}
+    assert set(found.status[since > 3.1]) == {NavStatus.DEAD_RECKONING}
     nothing = Fixes(**{name: getattr(some, name)[:0] for name in Fixes.__dataclass_fields__})
     found = align_lmi(time, dtheta, dv, coarse, nothing, level, FilterSettings(), GRAVITY)
     assert found.outcome is RunOutcome.NO_FIX
     assert np.isnan(found.lla).all()
+    assert set(found.status) == {NavStatus.NOT_STARTED}
