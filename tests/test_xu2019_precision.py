@@ -51,6 +51,8 @@ def test_lost_nodes_are_off_and_count_in_errors_and_not_in_the_nees(compared):
     # Squares of 900 and 0.04 by halves, over a bound of a variance of 1 in two directions together.
     assert found["over_bound_single"] == pytest.approx(np.sqrt((900 + 0.04) / 2), rel=1e-6)
     assert np.isnan(compared(state(0.0), state(30.0, np.ones(NODES, bool)))["nees_single"])
+    # Lost where the reference stands: off all the same.
+    assert compared(state(0.0), state(0.0, lost))["off_single_percent"] == pytest.approx(50.0)
 
 
 def test_figures_in_double_precision_are_of_their_own_states(compared):
