@@ -178,7 +178,7 @@ def load_campaign(path: Path) -> Campaign:
         except ScenarioError as error:
             where = ", ".join(f"{name} = {value}" for name, value in campaign.coordinates[point].items())
             first = str(error).splitlines()[0].removeprefix(f"point {point}: ")
-            raise ScenarioError(f"{told}: axes: at {shortened(where, 200)}: {first}") from error
+            raise ScenarioError(f"{told}: axes: at {shortened(printable(where), 200)}: {first}") from error
     return campaign
 
 
