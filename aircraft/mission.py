@@ -205,8 +205,8 @@ class FlightPlan(Settings):
     """Rate of the flight model; a multiple of the IMU's and of 50 Hz. 0: the least of these from 500 Hz.
 
     In turbulence gusts shake the body within a step: from 800 Hz, with an IMU above 100 Hz from 1200 Hz, or
-    a perfect IMU no longer returns to the truth within 0.1 arcsec. An IMU below 100 Hz does not in
-    turbulence at any rate of the model: its own samples are too few for the coning."""
+    a perfect IMU no longer returns to the truth within 0.1 arcsec; 0.4 where it is severe. An IMU below
+    100 Hz does not in turbulence at any rate of the model: its own samples are too few for the coning."""
 
     @field_validator("airframe")
     @classmethod
