@@ -17,6 +17,7 @@ from .palette import (
     FATE_COLORS,
     GREEN,
     NODE,
+    QUARANTINED,
     UNLOCATED,
     VERMILION,
     rgb,
@@ -81,6 +82,9 @@ def _draw_nodes(
     colors[~located] = rgb(UNLOCATED)
     colors[:, record.anchor] = rgb(ANCHOR)
     colors[head] = rgb(CLUSTER_HEAD)
+    if record.faults is not None:
+        colors[record.time[rows, None] >= record.faults.quarantined_s] = rgb(QUARANTINED)
+        colors[:, record.faults.silenced] = rgb(QUARANTINED)
     colors[:, 0] = rgb(AIRCRAFT)
     radii = np.where(record.anchor, 6.0, 4.5) * np.ones((k, 1))
     radii[head] = 8.0

@@ -46,6 +46,8 @@ FAINT = "#3C3C3C"
 """On black: links of which there are many."""
 UNLOCATED = PINK
 """A node without an estimate."""
+QUARANTINED = CRIMSON
+"""A node that was found out to lie."""
 FATE_COLORS = {
     FixFate.DELIVERED: BLUE,
     FixFate.TOO_FEW_NEIGHBOURS: PINK,
