@@ -66,16 +66,18 @@ def told_mistakes(origin: str, error: ValidationError, model: type[BaseModel], w
     A mistake of the content as a whole is told of ``whole``, if that has a name.
     """
     told: dict[str, None] = {}
-    fields = set()
+    fields, left = set(), error.error_count()
     for mistake in error.errors(include_url=False):
+        if len(told) >= MOST_LINES:
+            told[f"{origin}: and {left} more mistakes"] = None
+            break
+        left -= 1
         # A value that fits none of several types is one mistake.
         field, what = _told(mistake, _schema(model), whole)
         if not (field in fields and mistake["type"] in _WORDS):
             told |= {f"{origin}: {shortened(line, MOST_LETTERS)}": None for line in what.splitlines()}
         fields.add(field)
-    lines = list(told)
-    more = [f"{origin}: and {len(lines) - MOST_LINES} more mistakes"] if len(lines) > MOST_LINES else []
-    return "\n".join(lines[:MOST_LINES] + more)
+    return "\n".join(told)
 
 
 @cache
