@@ -57,10 +57,11 @@ def clean_twin(scenario: Scenario, others: Mapping[str, Scenario]) -> str | None
 
 
 def jumps(estimate: Estimate, truth: Flight, vibration_mps: float) -> tuple[int, int]:
-    """Rows where the error moved by more than `JUMP_SIGMAS` standard deviations of the row before, and how
-    many of them no flag tells.
+    """Rows where the error moved by more than `JUMP_SIGMAS` standard deviations, of the row before and of
+    its own, and how many of them no flag tells.
 
-    What vibration adds to the velocity is no correction. All else moves by corrections, but for little.
+    What vibration adds to the velocity is no correction, nor is what samples that are held add to all, which
+    the row's own deviations know. All else moves by corrections, but for little.
     """
     rows = np.searchsorted(truth.time, estimate.time - 0.5 * truth.dt)
     position = earth.displacement_n(estimate.lla, truth.lla[rows])
@@ -68,7 +69,8 @@ def jumps(estimate: Estimate, truth: Flight, vibration_mps: float) -> tuple[int,
     errors = np.hstack([position, estimate.v_n - truth.v_n[rows], phi])
     jitter = np.repeat([0.0, _JITTER * vibration_mps, 0.0], 3)
     with np.errstate(invalid="ignore"):
-        moved = np.abs(np.diff(errors, axis=0)) > JUMP_SIGMAS * estimate.sd[:-1, :9] + jitter
+        sd = np.maximum(estimate.sd[:-1, :9], estimate.sd[1:, :9])
+        moved = np.abs(np.diff(errors, axis=0)) > JUMP_SIGMAS * sd + jitter
     beyond = moved.any(axis=1)
     return int(beyond.sum()), int((beyond & ~estimate.jumped[1:]).sum())
 
