@@ -159,7 +159,7 @@ def test_the_anchors_part_of_covariances_is_that_of_dense_matrices():
     _cholesky.factorize(U)
     _cholesky.covariance_blocks(U, np.empty((n, B, B)))
     shared = np.empty((n, B, B))
-    _tracking._of_anchors(U, place, w, shared)
+    _tracking.of_anchors(U, place, w, shared)
     cov = np.linalg.inv(J)
     whole = cov @ np.diag(w.ravel()) @ cov
     for i in range(n):
