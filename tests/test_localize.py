@@ -382,14 +382,14 @@ def test_many_nodes_are_the_study_of_scale(command, tmp_path):
     ("arguments", "told"),
     [
         (["--draws", "0"], "--draws 0: allowed is [1, 100000]"),
-        (["--nodes", "1"], "'--nodes': Input should be greater than or equal to 2"),
+        (["--nodes", "1"], "--nodes = '1': must be 2 or more"),
         (["--nodes", "2"], "--nodes 2: allowed is [10, 2000000] with gao2009: fixes.fleet: anchor_share"),
         (
             ["--nodes", "9"],
             "--nodes 9: allowed is [10, 2000000] with gao2009: under leach: fixes: heads = 10",
         ),
-        (["--nodes", "99999999"], "'--nodes': Input should be less than or equal to 2000000"),
-        (["--nodes", "many"], "valid integer"),
+        (["--nodes", "99999999"], "--nodes = '99999999': must be 2000000 or less"),
+        (["--nodes", "many"], "--nodes = 'many': must be a whole number"),
         (["stated_fixes"], "fixes.kind = 'simulated': there is no network to localize"),
         (["--out", "/proc/nowhere"], "--out /proc/nowhere: cannot be written"),
     ],
