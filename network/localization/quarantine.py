@@ -32,6 +32,10 @@ _CUT = 3.0
 """Standard deviations at which a node's residuals are cut off, so that a few cannot speak for all."""
 _UNTOLD = 0.05
 """Share of a bias of all ranges that a move of the node must leave, for them to tell of it."""
+_KNOWN_M = 50.0
+"""Standard deviation to which others have to know an anchor's place."""
+_CHANGED = 0.1
+"""Share of the pairs that range each other whose change makes another network."""
 _LEAST_NODES = 5
 """Of which the spread of all nodes' biases is known."""
 
@@ -96,6 +100,7 @@ class Monitor:
         # Windows overlap, and so do their tests: their number times the chance of each is a bound.
         tests = 2 * len(self._windows) * 3600 * rate_hz
         self._chance = settings.false_alarms_per_hour / tests
+        self._pairs = np.zeros(n * (n - 1) // 2, np.bool_)
         self._forget()
 
     @property
@@ -110,6 +115,11 @@ class Monitor:
         Its epoch is to be solved again, without it.
         """
         self._note_suspects(seen)
+        pairs = seen.w_range.any(axis=0)
+        if np.count_nonzero(pairs != self._pairs) > _CHANGED * np.count_nonzero(self._pairs):
+            # Windows over another network than this, as where a jammer sets in, have other spreads.
+            self._forget()
+        self._pairs = pairs
         fallible = self._anchor & seen.started & (self.reason == QuarantineReason.NONE)
         fallible &= self.may_leave_out_an_anchor
         disbelieved = self.reason == QuarantineReason.BELIEF
@@ -208,7 +218,9 @@ def _belief_excess(
     of_mean = np.eye(P.shape[1]) - 2 * P + common + share * (P - common)
     scaled = gradient[:, anchors] * sd
     white = np.linalg.solve(of_mean, scaled.transpose(1, 2, 0)).transpose(2, 0, 1)
-    excess[:, anchors] = np.sqrt(np.maximum(np.einsum("wab,wab->wa", scaled, white), 0.0))
+    # Others that hardly know where it is, or where they are, cannot contradict an anchor.
+    told = 1 - np.einsum("aii->ai", P)[:, :3].max(axis=1) > (sd[:, 0] / _KNOWN_M) ** 2
+    excess[:, anchors] = told * np.sqrt(np.maximum(np.einsum("wab,wab->wa", scaled, white), 0.0))
     return excess
 
 
