@@ -187,6 +187,10 @@ def test_a_perfect_imu_at_rest_and_a_coarse_one_are_not_stuck():
     increments[:] = increments[1]
     still = ImuErrors(gyro_arw_deg_sqrt_h=0.0, accel_vrw_ug_sqrt_hz=0.0, vibration_mps=0.0)
     assert record_of(time, increments, still).counts == {}
+    moves = noisy()[1]
+    moves[200:900] = moves[200]
+    assert record_of(time, moves, still).counts == {}
+    assert record_of(time, moves).counts == {SampleOutcome.STUCK: 699}
     # At rest all along, though it is told to have noise: nothing tells how fine it measures.
     assert record_of(time, increments).counts == {}
     # Counts of three times the noise: most samples repeat the one before.
