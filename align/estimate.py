@@ -68,7 +68,7 @@ class NavStatus(IntEnum):
     NOT_STARTED = 0
     AIDED = 1
     DEAD_RECKONING = 2
-    """Nothing that arrived for `FilterSettings.dead_reckoning_after_s` was taken: the IMU alone carries on."""
+    """No fix was taken for `FilterSettings.dead_reckoning_after_s`: the IMU alone carries on."""
     STOPPED = 3
     """After the run was stopped."""
 
@@ -102,7 +102,7 @@ class Estimate:
     nis : (k,) normalised innovation squared.
     fix_time : (k,) s, epoch at which the fix was (last) applied, NaN if it was not.
     fix_outcome : (k,) `FixOutcome`.
-    fix_jump : (k,) how far the navigation moved when the fix arrived, with those that came with it: the greatest
+    fix_jump : (k,) how far the navigation moved when the fix arrived, with those that came with it: greatest
         change of a component of position, velocity or misalignment, over its standard deviation before; NaN
         if the fix was not looked at, or started the navigation, or the method has no covariance.
     status : (m,) `NavStatus`.
