@@ -132,6 +132,11 @@ class Monitor:
         limits = _MARGIN * np.array(alone)
         excess = np.zeros((new, 2, len(self._anchor)))
         cov = _covariances(seen)
+        spread = np.sqrt(np.einsum("naa->na", cov[0][seen.started])[:, :3].sum(axis=1))
+        if np.mean(spread < _KNOWN_M) < 0.9:
+            # A fleet that is taken apart judges nobody.
+            self._forget()
+            return None
         for window in self._windows:
             share = self._constant + (1 - self._constant) / window
             rows = slice(max(new - max(len(self._shifts) - window + 1, 0), 0), None)
