@@ -18,11 +18,11 @@ from ..fleet import OWN_SHIP
 from . import _tracking
 from ._dense import Terms, minimize
 from .chain import LocalizationSettings, localize
+from .contradictions import Evidence
 from .epochs import Epochs
 from .gossip import Gossip
 from .least_squares import LOSSES
 from .problem import Array, Booleans, Integers, NodeOutcome, RangeProblem
-from .quarantine import Evidence
 
 RESTART_S = 5.0
 """Interval at which nodes that have no position are started anew, and after which a lost one has none."""
