@@ -44,7 +44,7 @@ def test_quick_run_writes_the_table(benchmarks, tmp_path):
     assert benchmarks.__main__.main(["--quick", "--out", str(out)]) == 0
     text = out.read_text("utf-8")
     rows = [line for line in text.splitlines() if line.startswith("| ")]
-    assert len(rows) == 2 + 30
+    assert len(rows) == 2 + 35
     assert all(row.count("|") == 7 for row in rows)
     assert "python -m benchmarks --quick" in text
     assert f"- numpy: {np.__version__}" in text

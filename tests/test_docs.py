@@ -128,7 +128,8 @@ def test_python_examples_run(page, flight_cache, capsys):
 
 
 def test_summary_has_the_keys_that_the_readme_names(gao2009, flight, window):
-    scenario = replaced(gao2009, {"runs": 1, "variants": {"other": {"fixes.fleet.nodes": 30}}})
+    variants = {"other": {"fixes.fleet.nodes": 30}, "false": {"faults.packets.outlier_share": 0.1}}
+    scenario = replaced(gao2009, {"runs": 1, "variants": variants})
     scorer, network = score.Scorer(window, scenario.alignment.filters), NetworkScorer()
     run = simulate(scenario, flight, 0, seed=7)
     scorer.add(run)
@@ -142,7 +143,8 @@ def test_summary_has_the_keys_that_the_readme_names(gao2009, flight, window):
     told = set(re.findall(r"`(\w+)`", README.split("`summary.json` has")[1].split("\n## ")[0]))
     one = next(iter(summary["filters"].values()))
     keys = {*summary} - {"bound", "paper"} | set(summary["flight"]) | set(one) | {"ci95"}
-    assert told == keys | set(summary["network"])
+    broken = set(summary["faults"]["false"]["filters"]["ekf"]) & {"over_clean"}
+    assert told == keys | set(summary["network"]) | broken
     assert set(summary["variants"]["other"]) == {"filters", "network", "paired"}
     assert set(summary["bound"]) == {"stamped", "delay_unknown", "smoothed"}
     assert set(summary["paper"]) == {"ekf", "l2linf"}

@@ -285,7 +285,7 @@ def test_the_command_writes_its_files(command, flight_cache, tmp_path, monkeypat
         (["--velocity-sd-mps", 0], "option: fixes.velocity_sd_mps = 0.0 m/s: allowed is [0.0001, 1000] m/s"),
         (["--heading-weight", -1], "option: heading_weight = -1.0: allowed is [0, 10000]"),
         (["no-such-scenario"], "no-such-scenario: neither a bundled scenario"),
-        (["--max-load-factor", "much"], "Invalid value for '--max-load-factor'"),
+        (["--max-load-factor", "much"], "--max-load-factor = 'much': must be a number"),
     ],
 )
 def test_bad_input_is_told_in_one_line(command, tmp_path, arguments, told):
