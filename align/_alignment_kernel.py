@@ -10,8 +10,8 @@ import math
 
 from numba import njit
 
-from ..sins._kernels import COMPILED, advance
-from ._cubature_kernel import cubature_predict, cubature_update, error_between
+from ..sins._kernels import COMPILED
+from ._cubature_kernel import cubature_predict, cubature_update
 from ._kernels import (
     DUPLICATE,
     ESTIMATED,
@@ -25,109 +25,12 @@ from ._kernels import (
     fill_fix_noise,
     fill_noise,
     kinematics,
-    navigate,
     predict,
     update,
 )
+from ._state_kernel import carry_attitude, copy_state, covariance, greatest_move, meaningful, start, without
 
 NOT_STARTED, AIDED, DEAD_RECKONING, STOPPED = range(4)
-
-
-@njit(**COMPILED)
-def start(X, P, lla, v_n, cov, initial, sd, rooted=False):
-    """Take position and velocity from a fix, all but the attitude as it was first; forget all
-    correlations. ``rooted``: ``P`` is to be the square root."""
-    for i in range(3):
-        X[i], X[3 + i] = lla[i], v_n[i]
-    for i in range(10):
-        X[10 + i] = initial[i]
-    X[REFUSED] = 0.0
-    for i in range(len(P)):
-        for j in range(len(P)):
-            P[i, j] = sd[i] * sd[i] if i == j else 0.0
-    for i in range(6):
-        # Diffuse against this fix, however bad it is.
-        P[i, i] = max(P[i, i], 1e4 * cov[i, i])
-    if rooted:
-        for i in range(len(P)):
-            P[i, i] = math.sqrt(P[i, i])
-
-
-@njit(**COMPILED)
-def covariance(P, rooted, i, j):
-    """Element of the covariance that ``P`` is, or whose lower square root it is."""
-    if not rooted:
-        return P[i, j]
-    s = 0.0
-    for k in range(min(i, j) + 1):
-        s += P[i, k] * P[j, k]
-    return s
-
-
-@njit(**COMPILED)
-def _carry_attitude(X, time, increments, k, q_initial, lla, v_n, gravity_model, work):
-    """Attitude at epoch k, from epoch 0 by the gyros, at a position and velocity that are held."""
-    increment, previous, f_n = work[3], work[4], work[5]
-    for i in range(4):
-        X[6 + i] = q_initial[i]
-    for j in range(1, k + 1):
-        for i in range(3):
-            X[i], X[3 + i] = lla[i], v_n[i]
-        for i in range(6):
-            increment[i] = increments[j, i]
-            previous[i] = increments[j - 1, i] if j > 1 else 0.0
-        dt = time[j] - time[j - 1]
-        advance(X[0:3], X[3:6], X[6:10], increment, previous, dt, gravity_model, f_n)
-
-
-@njit(**COMPILED)
-def _without(X, P, rooted, time, increments, k, gravity_model, work, before):
-    """Write to ``before`` where X, of epoch k - 1, comes to without further fixes, and its standard
-    deviations."""
-    X_before, sd, _ = before
-    for i in range(len(X)):
-        X_before[i] = X[i]
-    for i in range(9):
-        sd[i] = math.sqrt(max(covariance(P, rooted, i, i), 0.0))
-    navigate(X_before, time, increments, k, gravity_model, work[3], work[4], work[5])
-
-
-@njit(**COMPILED)
-def _moved(X, before):
-    """How far X is from where it would be without the latest fixes: the greatest change of position,
-    velocity or misalignment over its standard deviation before."""
-    X_before, sd, e = before
-    error_between(X_before, X, e)
-    greatest = 0.0
-    for i in range(9):
-        if e[i] != 0.0:
-            greatest = max(greatest, abs(e[i]) / sd[i] if sd[i] > 0 else math.inf)
-    return greatest
-
-
-@njit(**COMPILED)
-def _copy(X_from, P_from, X_to, P_to):
-    """Copy state and covariance; loops compile much faster than array assignments, and one is quicker than
-    two."""
-    for i in range(len(X_to)):
-        X_to[i] = X_from[i]
-    source, target = P_from.reshape(P_from.size), P_to.reshape(P_to.size)
-    for i in range(len(target)):
-        target[i] = source[i]
-
-
-@njit(**COMPILED)
-def _meaningful(X, P):
-    """Whether the state is finite and no variance is negative."""
-    for i in range(REFUSED):
-        if not math.isfinite(X[i]):
-            return False
-    trace = 0.0
-    for i in range(len(P)):
-        if P[i, i] < 0:
-            return False
-        trace += P[i, i]
-    return math.isfinite(trace)
 
 
 @njit(**COMPILED)
@@ -229,19 +132,19 @@ def align(
         # Go back to the oldest of them, and forward again to the present.
         moves = running and n_applied > n_before
         if moves:
-            _without(X, P, rooted, time, increments, k, gravity_model, work, before)
+            without(X, P, rooted, time, increments, k, gravity_model, work, before)
         first = n_applied
         while first > 0 and epoch[applied[first - 1]] >= back:
             first -= 1
         if restart:
             f, now = applied[0], back
-            _carry_attitude(X, time, increments, now, q_initial, fix_lla[f], fix_v_n[f], gravity_model, work)
+            carry_attitude(X, time, increments, now, q_initial, fix_lla[f], fix_v_n[f], gravity_model, work)
             start(X, P, fix_lla[f], fix_v_n[f], fix_cov[f], initial, initial_sd, rooted)
             running = True
-            _copy(X, P, X_kept[now % kept], P_kept[now % kept])
+            copy_state(X, P, X_kept[now % kept], P_kept[now % kept])
         elif running and back < k:
             now = back
-            _copy(X_kept[now % kept], P_kept[now % kept], X, P)
+            copy_state(X_kept[now % kept], P_kept[now % kept], X, P)
         while running:
             while first < n_applied and epoch[applied[first]] == now:
                 f = applied[first]
@@ -305,12 +208,12 @@ def align(
             else:
                 fill_noise(time, gap_variance, now, noise_density, work[6])
                 cubature_predict(X, P, time, increments, now, work[6], gravity_model, work, cubature)
-            _copy(X, P, X_kept[now % kept], P_kept[now % kept])
-        if not _meaningful(X, P):
+            copy_state(X, P, X_kept[now % kept], P_kept[now % kept])
+        if not meaningful(X, P):
             return running, False
 
         # What the user is told of it: now, whatever is done again later.
-        moved = _moved(X, before) if moves else 0.0
+        moved = greatest_move(X, before) if moves else 0.0
         jump = max(jump, moved)
         for f in range(arrived, arriving):
             taken = outcome[f] == FUSED or outcome[f] == INITIALIZED

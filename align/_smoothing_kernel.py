@@ -15,8 +15,8 @@ import numpy as np
 from numba import njit
 
 from ..sins._kernels import COMPILED
-from ._alignment_kernel import start
 from ._kernels import ESTIMATED, correct, kinematics, predict, update
+from ._state_kernel import start
 
 
 @njit(**COMPILED)
