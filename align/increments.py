@@ -16,7 +16,9 @@ What is broken is told without look at any truth:
   and the truth lies beyond; so it does where a repeated value is the greatest of the record, or cuts off
   what was there before.
 
-To tell a stuck sample takes a few that follow: a navigator in flight would run that much behind, some 0.05 s.
+The whole record is looked at: what noise does, and which values are the ends of an axis. A navigator in
+flight would know a stuck axis some 0.05 s later, and a full scale from when it has been met often enough: its
+first samples are told here sooner than anybody could tell them in flight.
 """
 
 import math
@@ -179,8 +181,6 @@ def _repeated(increments: Array, dt: float, imu: ImuErrors, reason: NDArray[np.i
     accel = imu.accel_vrw_ug_sqrt_hz * MICRO_G_PER_SQRT_HZ * math.sqrt(dt)
     sigma = np.repeat([gyro, math.hypot(accel, math.sqrt(2) * imu.vibration_mps)], 3)
     quantum = np.repeat([imu.gyro_quantum_arcsec * ARCSEC, imu.accel_quantum_mps], 3)
-    # An axis in one piece of memory is gone through several times as fast.
-    axes = np.ascontiguousarray(increments[1:].T)
     axes = np.ascontiguousarray(increments[1:].T)  # reductions along an axis are ten times as fast so
     again = np.maximum(*((axes == end[:, None]).sum(axis=1) for end in (axes.max(axis=1), axes.min(axis=1))))
     for lag in range(1, APART + 1):

@@ -1,6 +1,7 @@
 """The commands `campaign` and `report`. What is heavy is imported when they run."""
 
 import json
+import signal
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -37,6 +38,8 @@ def campaign(
     dask = scheduler is not None or workers is not None
     done_by = partial(on_cluster, scheduler=scheduler, workers=workers) if dask else locally
     total = plan.settings.runs * len(plan.coordinates)
+    # What a batch system sends ends the workers, too, as Ctrl-C does.
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with progress_bar("campaign", silent, "runs") as progress:
             run_campaign(plan, ledger, done_by, progress)
@@ -45,6 +48,8 @@ def campaign(
         why = f"{folder}: {error.strerror or error}" if isinstance(error, OSError) else "stopped"
         error_console.print(f"{why}; {kept} of {total} runs are kept, go on with --resume", soft_wrap=True)
         raise typer.Exit(1) from error
+    finally:
+        signal.signal(signal.SIGTERM, before)
     summary = write_report(folder, command_as_typed())
     if as_json:
         typer.echo(json.dumps(summary.content, indent=2, allow_nan=False))

@@ -42,16 +42,10 @@ def has_faults(scenario: Scenario) -> bool:
 
 
 def clean_twin(scenario: Scenario, others: Mapping[str, Scenario]) -> str | None:
-    """Name of the scenario that is like this one but for its faults; else of the first without faults that
-    aligns over the same time, or None."""
+    """Name of the scenario that is like this one but for its faults, or None."""
     wanted = without_faults(scenario)
-    clean = {name: other for name, other in others.items() if not has_faults(other)}
-    for name, other in clean.items():
-        if without_faults(other) == wanted:
-            return name
-    for name, other in clean.items():
-        mine, its = scenario.alignment, other.alignment
-        if (mine.start, mine.duration_s, mine.filters) == (its.start, its.duration_s, its.filters):
+    for name, other in others.items():
+        if not has_faults(other) and without_faults(other) == wanted:
             return name
     return None
 
@@ -190,10 +184,12 @@ def network_figures(records: Iterable[FaultRecord]) -> dict[str, Any]:
     found, lying, false, honest = [], 0, 0, 0
     for record in records:
         lies, caught = np.isfinite(record.lying_s), np.isfinite(record.quarantined_s)
+        # Who was left out before the first lie was left out without cause.
+        found_out = caught & (record.quarantined_s >= record.lying_s)
         lying += int(lies.sum())
         honest += int((~lies).sum())
-        false += int((caught & ~lies).sum())
-        found += list((record.quarantined_s - record.lying_s)[lies & caught])
+        false += int((caught & ~found_out).sum())
+        found += list((record.quarantined_s - record.lying_s)[found_out])
     return {
         "lying": lying,
         "quarantined": _share(len(found), lying),

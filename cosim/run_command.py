@@ -56,6 +56,7 @@ def run(
     from ..align.bound import Knowledge
     from .bound import BOUND_DRAWS, bounds_of, no_bound_because
     from .fault_report import told_faults
+    from .fault_score import FaultScorer, has_faults
     from .network_score import NetworkScorer
     from .outages import told_outages
     from .outputs import estimates_writer, manifest, summarize, write_json
@@ -64,7 +65,7 @@ def run(
     from .run import alignment_window, compiling_ahead, outage_times, simulate_all
     from .scenario import ScenarioError, is_paper, read_scenario
     from .score import Scorer, standard_deviations
-    from .variants import run_variants
+    from .variants import AS_STATED, run_variants
 
     read = name, content, _ = read_scenario(scenario)
     if is_paper(content):
@@ -91,6 +92,7 @@ def run(
     except ScenarioError as error:
         raise ScenarioError(f"{scenario}: {error}") from error
     scorer, network = Scorer(window, settings.alignment.filters), NetworkScorer()
+    judged = FaultScorer(settings, window) if has_faults(settings) else None
     first: Run | None = None
     fixes: list[Fixes] = []
     done = 0
@@ -104,6 +106,8 @@ def run(
         ):
             first = first or done_run
             scorer.add(done_run)
+            if judged:
+                judged.add(done_run)
             if done_run.network is not None:
                 network.add(done_run.network)
             if len(fixes) < BOUND_DRAWS:
@@ -121,9 +125,14 @@ def run(
     scores = scorer.scores()
     network_score = network.score() if network.runs else None
     summary = summarize(name, settings, settings.seed, flight, scores, bound_sd, network_score)
+    if judged:
+        # Nothing without them was run: what they cost shows where a variant or the scenario has none.
+        summary["faults"] = {AS_STATED: {"against": None, **judged.rows(scores, None)}}
     if variants and done == settings.runs:
         with progress_bar("variants", silent) as progress:
-            summary |= run_variants(settings, flight, scores, progress)
+            found = run_variants(settings, flight, scores, progress)
+            faults = summary.get("faults", {}) | found.pop("faults", {})
+            summary |= found | ({"faults": faults} if faults else {})
     write_json(folder / "summary.json", summary)
     command = command_as_typed()
     about = manifest(name, settings, settings.seed, done, command)

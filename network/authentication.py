@@ -31,7 +31,7 @@ class Authentication(Settings):
     """From which the network's key is derived, by scrypt."""
     key_hex: str = Field(default="", pattern=r"^([0-9a-fA-F]{2}){0,64}$")
     """The network's key itself, 16 to 64 bytes, as hexadecimal digits."""
-    fresh_s: float = Field(default=1.0, ge=0.01, le=60)
+    fresh_s: float = Field(default=0.2, ge=0.01, le=60)
     """Age by its stamp, on arrival, beyond which a packet is taken for a recorded one and refused."""
 
     @model_validator(mode="after")

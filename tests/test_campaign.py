@@ -11,6 +11,7 @@ import time
 from functools import partial
 
 import numpy as np
+import psutil
 import pyarrow.parquet as pq
 import pytest
 from fleetalign.cosim.campaign import engine, ledger
@@ -178,14 +179,18 @@ def test_a_command_that_is_killed_goes_on_where_it_was(file, tmp_path):
         "--quiet",
     ]
     for kept in (1, 3):
-        process = subprocess.Popen([*line, "--resume"], start_new_session=True)
+        process = subprocess.Popen([*line, "--resume"])
         deadline = time.monotonic() + 120
         while time.monotonic() < deadline and process.poll() is None:
             if len(list((killed / "shards").glob("*.parquet"))) >= kept:
                 break
             time.sleep(0.02)
-        os.killpg(process.pid, signal.SIGKILL)
+        workers = psutil.Process(process.pid).children(recursive=True)
+        # By a kill that lets it tell nobody, and by what a batch system sends.
+        process.send_signal(signal.SIGKILL if kept == 1 else signal.SIGTERM)
         process.wait()
+        assert workers
+        assert psutil.wait_procs(workers, timeout=20)[1] == []
     assert 3 <= len(contents(killed)) <= 6
     # What a dying disk leaves: a shard that ends early.
     first = next((killed / "shards").iterdir())

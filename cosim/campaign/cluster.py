@@ -1,5 +1,6 @@
 """Shards by the workers of a Dask cluster: `distributed` hands a dead worker's tasks out again by itself."""
 
+import signal
 from collections.abc import Iterator
 from contextlib import closing
 from typing import Any
@@ -30,13 +31,18 @@ def on_cluster(
     except ImportError as error:
         raise InputError("--scheduler, --workers: need the extra: pip install fleetalign[cluster]") from error
     if scheduler is None:
-        cluster = LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            host=LOCALHOST,
-            dashboard_address=None,  # pyright: ignore[reportArgumentType]
-            scheduler_port=0,
-        )
+        # Ctrl-C is for the main process: its children inherit that they are to ignore it.
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            cluster = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                host=LOCALHOST,
+                dashboard_address=None,  # pyright: ignore[reportArgumentType]
+                scheduler_port=0,
+            )
+        finally:
+            signal.signal(signal.SIGINT, before)
         with cluster, closing(Client(cluster)) as client:
             yield from _completed(client, campaign, shards)
         return

@@ -6,6 +6,9 @@ done run by run, so that a poison run costs itself alone.
 
 import multiprocessing
 import os
+import signal
+import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -24,6 +27,8 @@ Progress = Callable[[float, float], None]
 Completed = Callable[[Campaign, list[Shard]], Iterator[tuple[Shard, bytes]]]
 """Does shards of a campaign, and yields the content of each as it is done."""
 DIED = "the worker died"
+_WATCH_S = 0.5
+"""Interval at which a worker looks whether the main process lives."""
 
 
 def run_campaign(
@@ -113,13 +118,20 @@ def _pool(workers: int) -> ProcessPoolExecutor:
 
 
 def _quiet() -> None:
-    """In a worker: one thread, since there is a worker for each core; Ctrl-C is for the main process."""
-    import signal
-
+    """In a worker: one thread, since there is a worker for each core; Ctrl-C is for the main process, and
+    with that process the worker ends."""
     import numba
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_outlive_nobody, args=(os.getppid(),), daemon=True).start()
     numba.set_num_threads(1)
+
+
+def _outlive_nobody(parent: int) -> None:
+    """End this process when its parent has, even by a kill that lets it tell nobody."""
+    while os.getppid() == parent:
+        time.sleep(_WATCH_S)
+    os._exit(1)
 
 
 def _stop(pool: Executor) -> None:

@@ -4,6 +4,7 @@ import hashlib
 import json
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import metadata
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -100,9 +101,15 @@ class CampaignFile(Settings):
     @classmethod
     def _no_files(cls, axes: dict[str, Axis]) -> dict[str, Axis]:
         for name in axes:
+            if name in ("runs", "seed", "title", "variants"):
+                raise ValueError(f"{name}: no axis, but the same at all points")
             if name.rpartition(".")[2] == "file":
                 raise ValueError(f"{name}: a file is no axis; make a campaign of each")
         return axes
+
+
+_VERSIONS = ("fleetalign", "jsbsim", "numba", "numpy")
+"""Programs by which the last bits of a run may differ."""
 
 
 @dataclass(frozen=True)
@@ -147,8 +154,9 @@ class Campaign:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all that its results depend on."""
-        content = {"base": self.base.digest, "coordinates": self.coordinates}
+        """SHA-256 of all that its results depend on, the programs' versions among it."""
+        content: dict[str, Any] = {"base": self.base.digest, "coordinates": self.coordinates}
+        content["versions"] = {name: metadata.version(name) for name in _VERSIONS}
         content |= self.settings.model_dump(mode="json", exclude={"title"})
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 

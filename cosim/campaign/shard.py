@@ -9,11 +9,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ...aircraft.cache import cached_flight
-from ...aircraft.envelope import FlightError
 from ...aircraft.flight import Flight
 from ...aircraft.mission import FlightPlan
 from ..run import alignment_window, simulate
-from ..scenario import Scenario, ScenarioError
+from ..scenario import Scenario
 from ..score import COLUMNS, Scorer
 from .plan import Shard
 
@@ -50,7 +49,8 @@ def shard_rows(scenario: Scenario, shard: Shard) -> list[dict[str, Any]]:
     try:
         flight = _flight(scenario.flight.model_dump_json())
         alignment_window(scenario, flight)
-    except (FlightError, ScenarioError) as error:
+    # No flight, whatever the reason, is no end of a campaign.
+    except Exception as error:
         runs = range(shard.first_run, shard.first_run + shard.runs)
         return [row for run in runs for row in failed_rows(scenario, shard.point, run, _told(error))]
     rows: list[dict[str, Any]] = []
