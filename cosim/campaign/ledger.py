@@ -48,7 +48,8 @@ class Ledger:
             kept = read_plan(folder)
             if kept.get("digest") != campaign.digest:
                 raise ScenarioError(
-                    f"{folder}: holds another campaign (or one of other versions), {kept.get('title')!r}; take another --out"
+                    f"{folder}: holds another campaign, or one of other versions, {kept.get('title')!r};"
+                    " take another --out"
                 )
         self._shards.mkdir(parents=True, exist_ok=True)
         for partial in self._shards.glob("*.partial"):
