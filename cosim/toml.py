@@ -10,7 +10,7 @@ from typing import Any
 from ..sins.text import printable, shortened
 
 MOST_BYTES = 1_000_000
-MOST_ENTRIES = 120_000
+MOST_ENTRIES = 50_000
 MOST_DEPTH = 32
 """Of tables and lists in each other, and parts of a dotted name."""
 
