@@ -1,5 +1,6 @@
 """What is told of faults: twins without them, jumps that no flag tells, quarantines, the table."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -170,3 +171,17 @@ def test_the_bundled_scenario_has_a_twin_for_each_fault():
         if has_faults(variant):
             twin = clean_twin(variant, names)
             assert fault_score.without_faults(variant) == fault_score.without_faults(names[twin]), name
+
+
+def test_faults_of_the_scenario_itself_are_told(command, flight, tmp_path, undrawn):
+    file = tmp_path / "own.toml"
+    file.write_text(
+        'title = "Own"\nruns = 2\nflight.s_start_s = 500\nalignment.duration_s = 5.0\n'
+        'alignment.filters = ["ekf_stamped"]\nfaults.packets.outlier_share = 0.2\n'
+    )
+    status, out, _ = command("run", file, "--out", tmp_path / "own", "--json")
+    assert status == 0
+    told = json.loads(out)["faults"]["as stated"]
+    assert told["against"] is None
+    assert told["filters"]["ekf_stamped"]["outliers"] > 5
+    assert told["filters"]["ekf_stamped"]["over_clean"] is None
