@@ -34,23 +34,24 @@ def campaign(
         raise InputError("--workers: not beside --scheduler, whose workers are its own")
     plan = load_campaign(file)
     folder, silent = output_folder(out or Path(f"fleetalign-campaign-{file.stem}")), quiet or as_json
-    ledger = Ledger(folder, plan, resume)
     dask = scheduler is not None or workers is not None
     done_by = partial(on_cluster, scheduler=scheduler, workers=workers) if dask else locally
     total = plan.settings.runs * len(plan.coordinates)
+    ledger: Ledger | None = None
     # What a batch system sends ends the workers, too, as Ctrl-C does.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with progress_bar("campaign", silent, "runs") as progress:
-            run_campaign(plan, ledger, done_by, progress)
+        with Ledger(folder, plan, resume) as ledger:
+            with progress_bar("campaign", silent, "runs") as progress:
+                run_campaign(plan, ledger, done_by, progress)
+            summary = write_report(folder, command_as_typed())
     except (OSError, KeyboardInterrupt) as error:
-        kept = sum(shard.runs for shard in ledger.done)
+        kept = sum(shard.runs for shard in ledger.done) if ledger else 0
         why = f"{folder}: {error.strerror or error}" if isinstance(error, OSError) else "stopped"
         error_console.print(f"{why}; {kept} of {total} runs are kept, go on with --resume", soft_wrap=True)
         raise typer.Exit(1) from error
     finally:
         signal.signal(signal.SIGTERM, before)
-    summary = write_report(folder, command_as_typed())
     if as_json:
         typer.echo(json.dumps(summary.content, indent=2, allow_nan=False))
     elif not quiet:

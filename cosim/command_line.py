@@ -55,7 +55,7 @@ def output_folder(folder: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / ".writable"
         probe.touch()
-        probe.unlink()
+        probe.unlink(missing_ok=True)  # another process may have tried the same
     except OSError as error:
         raise InputError(f"--out {folder}: cannot be written: {error.strerror}") from error
     return folder

@@ -9,7 +9,8 @@ from pathlib import Path
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Yields the path to write to; what was written then takes its name, or is removed after an exception."""
-    partial = path.with_name(path.name + ".partial")
+    # Of this process: another may be writing the same file.
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     try:
         yield partial
         os.replace(partial, path)

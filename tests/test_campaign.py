@@ -153,7 +153,8 @@ def test_poison_runs_are_failed_rows_and_the_rest_finishes(file, tmp_path, monke
     monkeypatch.setattr(engine, "done_shard", poison_of_a_test.done_shard)
     file.write_text(CAMPAIGN.replace("runs = 5", "runs = 4").replace("[0.1, 0.2]", "[0.1]"))
     campaign, folder = load_campaign(file), tmp_path / "out"
-    run_campaign(campaign, Ledger(folder, campaign, resume=False), partial(locally, workers=2))
+    with Ledger(folder, campaign, resume=False) as kept:
+        run_campaign(campaign, kept, partial(locally, workers=2))
     failures = {}
     for point, table in read_points(folder):
         for row in table.to_pylist():
@@ -167,7 +168,8 @@ def test_poison_runs_are_failed_rows_and_the_rest_finishes(file, tmp_path, monke
 def test_a_command_that_is_killed_goes_on_where_it_was(file, tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     campaign = load_campaign(file)
-    run_campaign(campaign, Ledger(whole, campaign, resume=False), locally)
+    with Ledger(whole, campaign, resume=False) as kept:
+        run_campaign(campaign, kept, locally)
     line = [
         sys.executable,
         "-m",
@@ -219,7 +221,8 @@ def one_by_one(campaign, shards):
 
 
 def go(folder):
-    run_campaign(campaign, Ledger(folder, campaign, resume=True), one_by_one)
+    with Ledger(folder, campaign, resume=True) as ledger:
+        run_campaign(campaign, ledger, one_by_one)
 
 
 def kept():
@@ -294,19 +297,72 @@ def test_a_full_disk_ends_in_one_line_and_keeps_what_is_done(command, file, tmp_
 
 def test_dask_brings_the_same_bytes_and_outlives_a_worker(file, tmp_path):
     campaign = load_campaign(file)
-    whole = Ledger(tmp_path / "whole", campaign, resume=False)
-    run_campaign(campaign, whole, locally)
-    by_dask, killed = Ledger(tmp_path / "dask", campaign, resume=False), []
-    for shard, content in on_cluster(campaign, campaign.shards, workers=2):
-        by_dask.add(shard, content)
-        if not killed:
-            from distributed import get_client
+    with Ledger(tmp_path / "whole", campaign, resume=False) as whole:
+        run_campaign(campaign, whole, locally)
+    killed = []
+    with Ledger(tmp_path / "dask", campaign, resume=False) as by_dask:
+        for shard, content in on_cluster(campaign, campaign.shards, workers=2):
+            by_dask.add(shard, content)
+            if not killed:
+                from distributed import get_client
 
-            pids = {a: w["id"] for a, w in get_client().scheduler_info()["workers"].items()}
-            worker = next(iter(pids))
-            killed.append(get_client().run(os.getpid, workers=[worker])[worker])
-            os.kill(killed[0], signal.SIGKILL)
+                pids = {a: w["id"] for a, w in get_client().scheduler_info()["workers"].items()}
+                worker = next(iter(pids))
+                killed.append(get_client().run(os.getpid, workers=[worker])[worker])
+                os.kill(killed[0], signal.SIGKILL)
     assert contents(tmp_path / "dask") == contents(tmp_path / "whole")
+
+
+HOLDER = """
+import sys
+from pathlib import Path
+from fleetalign.cosim.campaign.ledger import Ledger
+from fleetalign.cosim.campaign.plan import load_campaign
+from fleetalign.cosim.campaign.shard import done_shard
+
+campaign = load_campaign(Path(sys.argv[1]))
+with Ledger(Path(sys.argv[2]), campaign, resume=False) as ledger:
+    shard = campaign.shards[0]
+    ledger.add(shard, done_shard(campaign.scenario(shard.point), shard))
+    print("holds", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_one_process_at_a_time_works_in_a_folder_and_anybody_reports(command, file, tmp_path, undrawn):
+    folder = tmp_path / "out"
+    line = [sys.executable, "-c", HOLDER, str(file), str(folder)]
+    with subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"holds\n"
+        before = contents(folder)
+        for options in ([], ["--resume"]):
+            status, out, err = command("campaign", file, "--out", folder, *options)
+            assert (status, out) == (2, "")
+            assert f"{folder}: another process works in it: process {holder.pid} on " in err
+            assert ", since 20" in err
+            assert len(err.splitlines()) == 1
+        assert contents(folder) == before
+        assert command("report", folder, "--quiet")[0] == 0
+        assert "8 of 10 runs are not done" in (folder / "report.html").read_text()
+        holder.kill()
+    assert command("campaign", file, "--out", folder, "--resume", "--quiet")[0] == 0
+    # Nor does a lock stay when a campaign ends, or is refused.
+    assert command("campaign", file, "--out", folder, "--quiet")[0] == 2
+    assert command("campaign", file, "--out", folder, "--resume", "--quiet")[0] == 0
+    (folder / "campaign.json").unlink()
+    status, _, err = command("campaign", file, "--out", folder, "--resume")
+    assert status == 2
+    assert "has 6 shards and no campaign.json that says whose" in err
+
+
+def test_where_there_are_no_locks_there_is_a_warning(file, tmp_path, monkeypatch):
+    def unable(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", unable)
+    with pytest.warns(UserWarning, match="no lock: No locks available"):
+        Ledger(tmp_path / "out", load_campaign(file), resume=False).close()
 
 
 def test_no_campaign_has_no_report(command, tmp_path):

@@ -478,19 +478,19 @@ def campaign_in(folder: Path) -> Path:
     file = folder / "campaign.toml"
     file.write_text(CAMPAIGN)
     campaign = load_campaign(file)
-    ledger = Ledger(folder / "kept", campaign, resume=False)
-    for shard in campaign.shards[:2]:
-        rows = [
-            {"point": shard.point, "run": shard.first_run + run, "filter": name, "failure": None}
-            | dict.fromkeys(
-                ("roll_arcsec", "pitch_arcsec", "heading_arcmin", "v_east_mps", "v_north_mps"), 1.0
-            )
-            | {"nees": 3.0, "nis": 6.0, "fused": 9, "fixes": 10}
-            | {name: [1.0, 2.0] for name in HISTORIES}
-            for run in range(shard.runs)
-            for name in ("ekf", "l2linf")
-        ]
-        ledger.add(shard, encoded(rows))
+    with Ledger(folder / "kept", campaign, resume=False) as ledger:
+        for shard in campaign.shards[:2]:
+            rows = [
+                {"point": shard.point, "run": shard.first_run + run, "filter": name, "failure": None}
+                | dict.fromkeys(
+                    ("roll_arcsec", "pitch_arcsec", "heading_arcmin", "v_east_mps", "v_north_mps"), 1.0
+                )
+                | {"nees": 3.0, "nis": 6.0, "fused": 9, "fixes": 10}
+                | {name: [1.0, 2.0] for name in HISTORIES}
+                for run in range(shard.runs)
+                for name in ("ekf", "l2linf")
+            ]
+            ledger.add(shard, encoded(rows))
     return folder / "kept"
 
 
@@ -684,7 +684,8 @@ def test_a_foreign_folder_makes_a_report_read_nowhere_else(rooms):
     )
     file, kept = rooms / "campaign.toml", rooms / "kept"
     file.write_text('title = "Own copies"\nscenario = "five.toml"\nruns = 2\n')
-    Ledger(kept, load_campaign(file), resume=False)
+    with Ledger(kept, load_campaign(file), resume=False):
+        pass
     shutil.rmtree(rooms / "sub")
     assert ask("report", kept).status == 0
     plan = kept / "campaign.json"

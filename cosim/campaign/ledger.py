@@ -19,6 +19,7 @@ from ..mistakes import told_mistakes
 from ..scenario import Scenario, ScenarioError
 from ..scenario_file import with_data_in
 from ..toml import check_content
+from .lock import locked
 from .plan import MOST_SHARD_RUNS, Campaign, CampaignFile, Shard
 from .shard import SCHEMA
 
@@ -38,17 +39,29 @@ class Ledger:
     folder : made if need be; ``campaign.json`` says whose shards are in it.
     resume : whether shards that are there already count. Without, a folder with shards is refused.
 
-    Raises `ScenarioError` for a folder of another campaign, or one with shards and no ``resume``; OSError.
+    While it is open, a context that ends with `close`, no other process works in the folder (`lock`). Raises
+    `ScenarioError` for a folder in which one does, one of another campaign, or one with shards and no
+    ``resume``; OSError.
     """
 
     def __init__(self, folder: Path, campaign: Campaign, resume: bool) -> None:
         self.folder, self._shards = folder, folder / "shards"
-        plan = folder / _PLAN
+        folder.mkdir(parents=True, exist_ok=True)
+        self._lock = locked(folder)
+        try:
+            self.done = self._opened(campaign, resume)
+        except BaseException:
+            self.close()
+            raise
+
+    def _opened(self, campaign: Campaign, resume: bool) -> set[Shard]:
+        """The shards that need not be done again."""
+        plan = self.folder / _PLAN
         if plan.is_file():
-            kept = read_plan(folder)
+            kept = read_plan(self.folder)
             if kept.get("digest") != campaign.digest:
                 raise ScenarioError(
-                    f"{folder}: holds another campaign, or one of other versions, {kept.get('title')!r};"
+                    f"{self.folder}: holds another campaign, or one of other versions, {kept.get('title')!r};"
                     " take another --out"
                 )
         self._shards.mkdir(parents=True, exist_ok=True)
@@ -56,11 +69,13 @@ class Ledger:
             partial.unlink()
         found = {path.name for path in self._shards.glob("*.parquet")}
         if found and not resume:
-            raise ScenarioError(f"{folder}: has {len(found)} finished shards; go on with --resume")
+            raise ScenarioError(f"{self.folder}: has {len(found)} finished shards; go on with --resume")
         if not plan.is_file():
+            if found:
+                raise ScenarioError(f"{self.folder}: has {len(found)} shards and no {_PLAN} that says whose")
             base = campaign.base.model_dump(mode="json") | {"variants": {}}
-            (folder / POINTS).mkdir(exist_ok=True)
-            with_data_in(folder / POINTS, base)
+            (self.folder / POINTS).mkdir(exist_ok=True)
+            with_data_in(self.folder / POINTS, base)
             content = {
                 "title": campaign.settings.title,
                 "digest": campaign.digest,
@@ -69,8 +84,17 @@ class Ledger:
                 "coordinates": list(campaign.coordinates),
             }
             _write(plan, json.dumps(content, indent=2).encode())
-        self.done = {shard for shard in campaign.shards if shard.name in found and self._sound(shard)}
-        """Shards that need not be done again."""
+        return {shard for shard in campaign.shards if shard.name in found and self._sound(shard)}
+
+    def close(self) -> None:
+        """Let others work in the folder."""
+        self._lock.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def _sound(self, shard: Shard) -> bool:
         """Whether a shard's file has all its runs; one that has not, say after a disk failed, is dropped."""
