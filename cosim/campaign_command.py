@@ -4,12 +4,15 @@ import json
 import signal
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .command_line import AsJson, InputError, OutFolder, Quiet, command_as_typed, output_folder
 from .terminal import error_console, out_console, progress_bar
+
+if TYPE_CHECKING:
+    from .campaign.summary import CampaignSummary
 
 
 def campaign(
@@ -28,7 +31,7 @@ def campaign(
     from .campaign.engine import locally, run_campaign
     from .campaign.ledger import Ledger
     from .campaign.plan import load_campaign
-    from .campaign.report import campaign_table, write_report
+    from .campaign.report import write_report
 
     if scheduler is not None and workers is not None:
         raise InputError("--workers: not beside --scheduler, whose workers are its own")
@@ -52,11 +55,7 @@ def campaign(
         raise typer.Exit(1) from error
     finally:
         signal.signal(signal.SIGTERM, before)
-    if as_json:
-        typer.echo(json.dumps(summary.content, indent=2, allow_nan=False))
-    elif not quiet:
-        out_console.print(campaign_table(summary))
-        out_console.print(f"report     {folder / 'report.html'}", soft_wrap=True)
+    _tell(folder, summary, quiet, as_json)
 
 
 def report(
@@ -65,11 +64,19 @@ def report(
     as_json: AsJson = False,
 ) -> None:
     """Write the report of a campaign's folder anew, of whatever is done."""
-    from .campaign.report import campaign_table, write_report
+    from .campaign.report import write_report
 
     summary = write_report(folder, command_as_typed())
+    _tell(folder, summary, quiet, as_json)
+
+
+def _tell(folder: Path, summary: "CampaignSummary", quiet: bool, as_json: bool) -> None:
+    from .campaign.report import campaign_table, told_worst
+
     if as_json:
         typer.echo(json.dumps(summary.content, indent=2, allow_nan=False))
     elif not quiet:
         out_console.print(campaign_table(summary))
+        for line in told_worst(folder, summary.worst):
+            out_console.print(line, soft_wrap=True)
         out_console.print(f"report     {folder / 'report.html'}", soft_wrap=True)

@@ -5,12 +5,14 @@ import json
 import numpy as np
 import pytest
 from fleetalign.cosim.campaign import summary
+from fleetalign.cosim.campaign.incidents import NAMES
 from fleetalign.cosim.score import COLUMNS
 
 
 def row(run, filter="ekf_stamped", failure=None, errors=(3.0, 4.0, 2.0, 0.3, 0.4), nees=3.0, history=True):
     made = {"point": 0, "run": run, "filter": filter, "failure": failure, "nees": nees}
     made |= dict(zip(COLUMNS, [None] * 5 if errors is None else errors, strict=True))
+    made |= dict.fromkeys(NAMES)
     made["history_time_s"] = [1.0, 2.0, 3.0] if history else None
     made["level_history_arcsec"] = [10.0 * run, 4.0, np.nan] if history else None
     made["heading_history_arcmin"] = [1.0, run, np.nan] if history else None
@@ -63,8 +65,19 @@ def test_intervals_hold_what_the_runs_were_drawn_from():
 def test_points_without_a_run_that_aligned_have_no_figures():
     found = score([row(1, failure="no_fix", errors=None, nees=None, history=False)])
     assert np.isnan(found.nees)
+    assert found.nees_band is None
     assert np.isnan(found.rms["velocity"]).all()
     assert found.time_s == found.level_rms_arcsec == []
+
+
+def test_a_point_has_means_and_the_greatest_jump():
+    rows = [
+        row(run) | {"gated": gated, "largest_jump_sd": jump}
+        for run, (gated, jump) in enumerate([(3, 1.0), (5, 7.5), (None, None)])
+    ]
+    found = score(rows).befell
+    assert (found["gated"], found["largest_jump_sd"]) == (4.0, 7.5)
+    assert np.isnan(found["late"])
 
 
 class Rows(list):

@@ -82,8 +82,11 @@ def _nees(summary: CampaignSummary) -> Figure:
 
 
 def _band(ax: Axes, scores: list[PointScore]) -> None:
-    low, high = np.array([s.nees_band for s in scores]).T
-    ax.fill_between([s.point for s in scores], low, high, color="#CCCCCC", alpha=0.3, linewidth=0)
+    banded = [(s.point, *s.nees_band) for s in scores if s.nees_band]
+    if not banded:
+        return
+    points, low, high = np.array(banded).T
+    ax.fill_between(points, low, high, color="#CCCCCC", alpha=0.3, linewidth=0)
 
 
 def _by_filter(summary: CampaignSummary) -> dict[str, list[PointScore]]:

@@ -1,5 +1,7 @@
 """What `campaign` and `report` leave: `summary.json`, `report.html`, and the scenario of each named point."""
 
+import shlex
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -7,16 +9,30 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from ..fault_score import has_faults
 from ..outputs import write_json
 from ..pages import number, write_page
 from ..scenario import Scenario, replaced
 from ..scenario_file import write_scenario
 from .figures import draw_campaign
+from .incidents import GREATEST
 from .ledger import POINTS, kept_base
 from .summary import CampaignSummary, summarize
 
 _LINES = 40
 """Of the terminal's table."""
+_BEFELL = {
+    "gated": ("fixes refused by the gate", 1),
+    "late": ("fixes too late", 1),
+    "unauthentic": ("fixes not authentic", 1),
+    "outliers_used": ("outliers believed", 2),
+    "dead_reckoning_s": ("dead reckoning, s", 2),
+    "largest_jump_sd": ("largest jump, sd", 1),
+    "held_imu_samples": ("IMU samples held", 1),
+    "quarantined": ("nodes left out", 2),
+    "honest_quarantined": ("honest ones of them", 2),
+}
+"""Headings and digits for `incidents.NAMES`."""
 
 
 def write_report(folder: Path, command: str) -> CampaignSummary:
@@ -26,12 +42,16 @@ def write_report(folder: Path, command: str) -> CampaignSummary:
     total = plan["settings"]["runs"] * len(plan["coordinates"])
     one = summary.scores[0].filter if summary.scores else ""
     done = sum(score.runs for score in summary.scores if score.filter == one)
-    base, named = kept_base(folder, plan), dict[int, Scenario]()
-    for point in {row["point"] for row in summary.worst}:
-        changes: dict[str, Any] = {"variants": {}, "seed": plan["settings"]["seed"]}
-        if plan["settings"]["filters"]:
-            changes["alignment.filters"] = plan["settings"]["filters"]
-        named[point] = replaced(base, changes | plan["coordinates"][point], f"{folder}: point {point}")
+    base = kept_base(folder, plan)
+    changes: dict[str, Any] = {"variants": {}, "seed": plan["settings"]["seed"]}
+    if plan["settings"]["filters"]:
+        changes["alignment.filters"] = plan["settings"]["filters"]
+
+    def at(point: int) -> Scenario:
+        return replaced(base, changes | plan["coordinates"][point], f"{folder}: point {point}")
+
+    named = {row["point"]: at(row["point"]) for row in summary.worst}
+    ends = [at(point) for point in (0, -1)] if plan["coordinates"] else []
     write_json(folder / "summary.json", summary.content)
     write_page(
         folder / "report.html",
@@ -39,7 +59,8 @@ def write_report(folder: Path, command: str) -> CampaignSummary:
         draw_campaign(summary),
         plan=plan,
         scores=summary.scores,
-        worst=summary.worst,
+        worst=[row | {"command": replay_command(folder, row)} for row in summary.worst],
+        befell=_befell(summary) if any(map(_may_fail, (*ends, *named.values()))) else {},
         missing=total - done,
         total=total,
         folder=folder,
@@ -50,6 +71,34 @@ def write_report(folder: Path, command: str) -> CampaignSummary:
     for point, scenario in named.items():
         write_scenario(scenario, folder / POINTS / f"{point:06d}.toml")
     return summary
+
+
+def replay_command(folder: Path, row: dict[str, Any]) -> str:
+    """The command that makes a recording of one of `CampaignSummary.worst`."""
+    scenario = folder / POINTS / f"{row['point']:06d}.toml"
+    return shlex.join(["fleetalign", "run", str(scenario), "--run-id", str(row["run"])])
+
+
+def told_worst(folder: Path, worst: Iterable[dict[str, Any]]) -> list[str]:
+    """A line for the first of each filter: how bad, and the command that replays it."""
+    lines = []
+    for name, row in {row["filter"]: row for row in reversed(list(worst))}.items():
+        why = row["failure"] or f"NEES {row['nees']:.1f} of 3"
+        lines.append(f"worst      {name}, {why}: {replay_command(folder, row)}")
+    return lines[::-1]
+
+
+def _may_fail(scenario: Scenario) -> bool:
+    return scenario.fixes.kind == "network" or has_faults(scenario)
+
+
+def _befell(summary: CampaignSummary) -> dict[str, tuple[str, int]]:
+    """Headings and digits of what befell any of the runs."""
+    return {
+        name: (heading + (", at most" if name in GREATEST else ", a run"), digits)
+        for name, (heading, digits) in _BEFELL.items()
+        if any(score.befell[name] > 0 for score in summary.scores)
+    }
 
 
 def campaign_table(summary: CampaignSummary) -> Table:

@@ -14,6 +14,7 @@ from ...aircraft.mission import FlightPlan
 from ..run import alignment_window, simulate
 from ..scenario import Scenario
 from ..score import COLUMNS, Scorer
+from .incidents import FIELDS, incidents
 from .plan import Shard
 
 CURVE_HZ = 1.0
@@ -29,14 +30,15 @@ SCHEMA = pa.schema(
         ("nis", pa.float64()),
         ("fused", pa.int32()),
         ("fixes", pa.int32()),
+        *FIELDS,
         ("history_time_s", pa.list_(pa.float32())),
         ("level_history_arcsec", pa.list_(pa.float32())),
         ("heading_history_arcmin", pa.list_(pa.float32())),
     ]
 )
 """Of a shard. ``failure`` is null for a run that aligned; errors are estimate less truth at the end, null
-where there is no estimate; the histories, once a second from the start, have the root of the mean square of
-roll and pitch, and the size of the heading's error."""
+where there is no estimate; what befell it, see `incidents`; the histories, once a second from the start, have
+the root of the mean square of roll and pitch, and the size of the heading's error."""
 
 
 def done_shard(scenario: Scenario, shard: Shard) -> bytes:
@@ -108,6 +110,7 @@ def _run_rows(scenario: Scenario, flight: Flight, point: int, run_id: int) -> li
             "nis": _known(score.nis[0]),
             "fused": int(score.fused[0]),
             "fixes": len(run.fixes),
+            **incidents(run, run.estimates[name], scenario.alignment.settings.output_rate_hz),
             "history_time_s": score.time[whole].tolist(),
             "level_history_arcsec": level.tolist(),
             "heading_history_arcmin": np.abs(errors[whole, 2]).tolist(),

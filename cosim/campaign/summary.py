@@ -11,6 +11,7 @@ from ..network_score import plain
 from ..resampling import LEAST_RUNS, resampled_means, tails
 from ..scenario import ScenarioError
 from ..score import COLUMNS, GROUPS
+from .incidents import GREATEST, NAMES
 from .ledger import read_plan, read_points
 
 WORST = 10
@@ -30,7 +31,11 @@ class PointScore:
     rms: dict[str, tuple[float, float, float]]
     """By `score.GROUPS`: RMS over runs at the end with its 95 % interval, arcsec, arcmin, m/s; or NaN."""
     nees: float
-    nees_band: tuple[float, float]
+    nees_band: tuple[float, float] | None
+    """None where no run has a NEES."""
+    befell: dict[str, float]
+    """By `incidents.NAMES`: the mean over the runs that have a value, the greatest of `incidents.GREATEST`;
+    NaN where none has."""
     time_s: list[float]
     level_rms_arcsec: list[float]
     heading_rms_arcmin: list[float]
@@ -43,7 +48,8 @@ class CampaignSummary:
     plan: dict[str, Any]
     scores: list[PointScore]
     worst: list[dict[str, Any]]
-    """Of each filter the failed runs, then those furthest out in their own covariance."""
+    """Of each filter the failed runs, then those with the greatest NEES at the end: furthest out in their own
+    covariance."""
 
     @property
     def content(self) -> dict[str, Any]:
@@ -84,11 +90,19 @@ def _score(point: int, name: str, rows: list[dict[str, Any]]) -> PointScore:
         reasons={reason: failures.count(reason) for reason in dict.fromkeys(failures)},
         rms={group: _rms(errors[:, columns]) for group, columns in GROUPS.items()},
         nees=float(nees.mean()) if len(nees) else np.nan,
-        nees_band=mean_band(3, max(len(nees), 1)),
+        nees_band=mean_band(3, len(nees)) if len(nees) else None,
+        befell={key: _befell(key, rows) for key in NAMES},
         time_s=list(time),
         level_rms_arcsec=_history(histories, "level_history_arcsec"),
         heading_rms_arcmin=_history(histories, "heading_history_arcmin"),
     )
+
+
+def _befell(key: str, rows: list[dict[str, Any]]) -> float:
+    values = [row[key] for row in rows if row[key] is not None]
+    if not values:
+        return np.nan
+    return float(max(values) if key in GREATEST else np.mean(values))
 
 
 def _rms(errors: np.ndarray) -> tuple[float, float, float]:
