@@ -171,8 +171,8 @@ def _consistency(clock: Clock, scores: Scores, with_bands: bool) -> Figure:
             label=name,
         )
     runs = max(int(np.isfinite(score.nees[:, -1]).sum()) for score in scores.values())
-    if with_bands:
-        over_time.axhspan(*mean_band(3, max(runs, 1)), color="#DDDDDD", label="95 % band if consistent")
+    if with_bands and runs:
+        over_time.axhspan(*mean_band(3, runs), color="#DDDDDD", label="95 % band if consistent")
     over_time.axhline(3, color="black", linewidth=0.6)
     over_time.set(ylabel="NEES (3), mean over the runs", xlabel=clock.label)
     log_scale(over_time)
@@ -187,7 +187,7 @@ def _consistency(clock: Clock, scores: Scores, with_bands: bool) -> Figure:
         histogram.hist(
             values, edges, histtype="step", color=filter_color(name), linewidth=_widths(scores)[name]
         )
-    if with_bands:
+    if with_bands and runs:
         mean = np.linspace(edges[0], edges[-1], 300)
         expected = runs * (edges[1] - edges[0]) * fixes * chi2.pdf(mean * fixes, 6 * fixes)
         label = f"expected of {fixes} fixes a run"

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
@@ -10,6 +10,9 @@ from rich.text import Text
 
 from .command_line import AsJson, NoCache, Quiet, ScenarioArgument, flown, loaded, output_folder
 from .terminal import out_console
+
+if TYPE_CHECKING:
+    from ..aircraft.mission import FlightPlan
 
 
 def fly(
@@ -28,7 +31,9 @@ def fly(
     if folder:
         write_flight(folder / "flight.parquet", flight)
     if as_json:
-        typer.echo(json.dumps(flight.summary, indent=2))
+        plan = settings.flight.model_dump(mode="json")
+        befallen = {"failures": plan["failures"], "gusts": plan["air"]["gusts"]}
+        typer.echo(json.dumps(flight.summary | befallen, indent=2))
     elif not quiet:
         table = Table("phase", "from, s", "to, s", "altitude, m", "speed, m/s", title=Text(settings.title))
         for phase in flight.phases:
@@ -45,3 +50,14 @@ def fly(
         for key, value in flight.summary.items():
             shown = value if isinstance(value, str) else f"{value:.2f}"
             out_console.print(f"{key:24} {shown}")
+        for line in _befallen(settings.flight, float(flight.time[-1])):
+            out_console.print(line)
+
+
+def _befallen(plan: "FlightPlan", end_s: float) -> list[str]:
+    """A line for each failure and gust until the flight ends, by the clock."""
+    told = [(failure.time_s, "failure", failure.told) for failure in plan.failures]
+    for gust in plan.air.gusts:
+        speeds = f"{gust.north_mps:g}, {gust.east_mps:g}, {gust.down_mps:g} m/s north, east, down"
+        told.append((gust.start_s, "gust", f"{speeds}, for {2 * gust.rise_s + gust.hold_s:g} s"))
+    return [f"{kind:24} at {time_s:.2f} s: {what}" for time_s, kind, what in sorted(told) if time_s < end_s]

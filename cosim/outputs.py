@@ -86,7 +86,7 @@ def summarize_runs(
 
 def _summarize_filter(score: FilterScore, independent: bool, floor: Array) -> dict[str, Any]:
     """Runs that are not ``independent``, for they replay the same fixes, have neither interval nor band."""
-    surviving = int(np.count_nonzero(np.isfinite(score.errors[:, -1, 0])))
+    surviving, fused = int(np.count_nonzero(np.isfinite(score.errors[:, -1, 0]))), int(score.fused.sum())
     interval = bootstrap_rms_interval(score.errors[:, -1])
     known = independent and np.isfinite(interval).all()
     pairs = zip(COLUMNS, interval.T, strict=True)
@@ -98,10 +98,10 @@ def _summarize_filter(score: FilterScore, independent: bool, floor: Array) -> di
         "level_below_60_arcsec_s": score.time_below(slice(0, 2), LEVEL_LIMIT_ARCSEC),
         "heading_below_5_arcmin_s": score.time_below(slice(2, 3), HEADING_LIMIT_ARCMIN),
         "nees": _plain(score.mean_nees[-1]),
-        "nees_band95": mean_band(3, max(surviving, 1)) if independent else None,
+        "nees_band95": mean_band(3, surviving) if independent and surviving else None,
         "nees_outside": _plain(score.nees_outside) if independent else None,
         "nis": _plain(score.mean_nis),
-        "nis_band95": mean_band(6, max(int(score.fused.sum()), 1)) if independent else None,
+        "nis_band95": mean_band(6, fused) if independent and fused else None,
         "fixes": {outcome.name.lower(): score.fix_outcomes[outcome] for outcome in FixOutcome},
         "failed_runs": len(score.failures),
         "failures": {str(run_id): reason for run_id, reason in score.failures.items()},

@@ -5,9 +5,9 @@ import json
 import math
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from ..aircraft.mission import FlightPlan
 from ..aircraft.phases import PHASE_NAMES
@@ -49,6 +49,17 @@ class CoarseAttitude(Settings):
     above."""
 
 
+def _known(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        if name not in METHODS:
+            raise ValueError(f"no filter {name!r}; known: {', '.join(METHODS)}")
+    return tuple(dict.fromkeys(names))
+
+
+FilterNames = Annotated[tuple[str, ...], AfterValidator(_known)]
+"""Filters by their names, each once."""
+
+
 class AlignmentSettings(Settings):
     """When to align, from what, and by which filters."""
 
@@ -58,7 +69,7 @@ class AlignmentSettings(Settings):
     coarse: CoarseAttitude = CoarseAttitude()
     gravity: Literal["flight", "j2", "somigliana"] = "flight"
     """Gravity model of the navigator; ``flight`` is the one that the aircraft flew in."""
-    filters: tuple[str, ...] = tuple(FILTERS)
+    filters: FilterNames = tuple(FILTERS)
     bridging: Bridging = "coast"
     """What is put out for position and velocity in `outages`: the filter's own prediction, or that of an INS
     whose error a model has learnt from the record before."""
@@ -75,13 +86,10 @@ class AlignmentSettings(Settings):
 
     @field_validator("filters")
     @classmethod
-    def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        for name in names:
-            if name not in METHODS:
-                raise ValueError(f"no filter {name!r}; known: {', '.join(METHODS)}")
+    def _any(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         if not names:
             raise ValueError(f"at least one of: {', '.join(METHODS)}")
-        return tuple(dict.fromkeys(names))
+        return names
 
     @model_validator(mode="after")
     def _heading_is_found_or_told(self) -> "AlignmentSettings":
@@ -270,6 +278,10 @@ def replaced(scenario: Scenario, changes: dict[str, Any], origin: str = "change"
     Raises `ScenarioError` like `load_scenario`; ``origin`` stands in the place of the file.
     """
     content = scenario.model_dump(mode="json")
+    if scenario._folder:
+        # As the file had them: what is changed is held to the same rule as what it said.
+        for table in data_tables(content):
+            table["file"] = str(Path(table["file"]).relative_to(scenario._folder.resolve()))
     for name, value in changes.items():
         *path, last = name.split(".")
         table = content
@@ -278,7 +290,7 @@ def replaced(scenario: Scenario, changes: dict[str, Any], origin: str = "change"
             if not isinstance(table, dict):
                 raise ScenarioError(f"{origin}: {field_name([name])}: unknown field")
         table[last] = value
-    return _validated(origin, content, {"folder": scenario._folder, "resolved": True})
+    return _validated(origin, content, {"folder": scenario._folder})
 
 
 def _validated(file: str, content: dict[str, Any], context: dict[str, Any]) -> Scenario:

@@ -28,12 +28,8 @@ def inside(folder: Path, file: str | Path) -> Path:
     """
     if Path(file).is_absolute():
         raise ValueError("an absolute path: must be relative to the file that names it")
-    return _kept_in(folder, Path(folder, file))
-
-
-def _kept_in(folder: Path, file: Path) -> Path:
     try:
-        path = file.resolve()
+        path = Path(folder, file).resolve()
         contained, is_none = path.is_relative_to(folder.resolve()), path.exists() and not path.is_file()
     except (OSError, RuntimeError) as error:
         raise ValueError("cannot be read: no such path") from error
@@ -45,18 +41,15 @@ def _kept_in(folder: Path, file: Path) -> Path:
 
 
 def _checked(file: Path, info: ValidationInfo) -> Path:
-    context = info.context or {}
-    if context.get("folder") is None:
-        return file
-    folder = Path(context["folder"])
-    return _kept_in(folder, file) if context.get("resolved") and file.is_absolute() else inside(folder, file)
+    folder = (info.context or {}).get("folder")
+    return file if folder is None else inside(Path(folder), file)
 
 
 DataFile = Annotated[Path, AfterValidator(_checked)]
 """A file that settings name.
 
-With ``folder`` in the validation's context it must be `inside` that, and becomes an absolute path; with
-``resolved`` as well, it may be one already. Without, the path is the caller's own, and free.
+With ``folder`` in the validation's context it must be `inside` that, and becomes an absolute path. Without,
+the path is the caller's own, and free.
 """
 
 

@@ -97,6 +97,10 @@ def test_a_latin_hypercube_has_a_point_in_each_slice_and_is_the_same_again(file)
         (("five.toml", "six.toml"), "six.toml"),
         (("seed = 7", "seed = 7\ncolour = 1"), "colour: unknown field"),
         (("title", "= title"), "not TOML"),
+        (
+            ("seed = 7", 'seed = 7\nfilters = ["ekf", "nope"]'),
+            "campaign.toml: filters = ['ekf', 'nope']: no filter 'nope'; known: ekf, ",
+        ),
     ],
 )
 def test_mistakes_are_told_in_one_line(command, file, change, told):

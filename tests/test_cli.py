@@ -158,12 +158,32 @@ def test_standard_deviations_hold_the_vibration(tmp_path, stated, window):
 def test_fly_tells_and_writes_the_flight(command, tmp_path, flight):
     status, out, _ = command("fly", "gao2009", "--out", tmp_path, "--json")
     assert status == 0
-    assert json.loads(out) == flight.summary
+    assert json.loads(out) == flight.summary | {"failures": [], "gusts": []}
     table = pq.read_table(tmp_path / "flight.parquet").to_pydict()
     np.testing.assert_allclose(table["height_m"], flight.lla[:, 2])
     np.testing.assert_allclose(table["dv_z_mps"], flight.dv_b[:, 2])
     status, out, _ = command("fly")
     assert "s_maneuver" in out
+
+
+def test_fly_tells_what_befell_the_flight(command, tmp_path, monkeypatch, flight):
+    monkeypatch.setattr("fleetalign.cosim.fly_command.flown", lambda *_: flight)
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        'title = "x"\n[flight]\nfailures = [{ kind = "stuck", control = "rudder", time_s = 510.0 },'
+        ' { kind = "engine_out", time_s = 4000.0 }]\n'
+        "[flight.air]\ngusts = [{ start_s = 20.0, rise_s = 1.0, hold_s = 2.0, down_mps = -5.0 }]\n"
+    )
+    status, out, _ = command("fly", file)
+    assert status == 0
+    # By the clock; the engine would go out after the end.
+    assert [" ".join(line.split()) for line in out.splitlines()[-2:]] == [
+        "gust at 20.00 s: 0, 0, -5 m/s north, east, down, for 4 s",
+        "failure at 510.00 s: the rudder stuck",
+    ]
+    told = json.loads(command("fly", file, "--json")[1])
+    assert [failure["time_s"] for failure in told["failures"]] == [510.0, 4000.0]
+    assert [gust["down_mps"] for gust in told["gusts"]] == [-5.0]
 
 
 def test_check_and_list(command):

@@ -186,6 +186,15 @@ def test_scenario_text_is_the_scenario():
     assert Scenario.model_validate(tomllib.loads(to_toml(awkward.model_dump(mode="json")))) == awkward
 
 
+def test_where_all_runs_fail_there_is_no_band(tmp_path, stated):
+    lost = a_score("ekf", np.random.default_rng(3), np.nan, 0.0)
+    lost = replace(lost, fused=np.zeros(RUNS, np.int64), failures=dict.fromkeys(range(RUNS), "no_fix"))
+    html, summary = write(tmp_path / "report.html", stated, {"ekf": lost})
+    row = summary["filters"]["ekf"]
+    assert (row["nees"], row["nees_band95"], row["nis_band95"]) == (None, None, None)
+    assert "95 % band if consistent" not in html
+
+
 def test_replayed_fixes_have_neither_intervals_nor_bands(tmp_path, stated, window):
     fixes = draw_fixes(window, 500, 501, stated.fixes, np.random.default_rng(1))
     write_fixes(fixes, tmp_path / "fixes.csv")

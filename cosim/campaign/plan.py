@@ -17,7 +17,7 @@ from ...network.tables import inside
 from ...sins.settings import Settings
 from ...sins.text import printable, shortened
 from ..mistakes import told_mistakes
-from ..scenario import Scenario, ScenarioError, load_scenario, replaced, scenario_names
+from ..scenario import FilterNames, Scenario, ScenarioError, load_scenario, replaced, scenario_names
 from ..toml import read_toml
 
 MOST_POINTS = 100_000
@@ -70,7 +70,7 @@ class CampaignFile(Settings):
     """At each point."""
     seed: int = Field(default=1, ge=0, le=2**63 - 1)
     """Of all points: the runs of one id have the same sensors and noise at each."""
-    filters: tuple[str, ...] = ()
+    filters: FilterNames = ()
     """The scenario's, if none."""
     shard_runs: int = Field(default=25, ge=1, le=MOST_SHARD_RUNS)
     """Runs that are done, and kept, together."""
@@ -137,7 +137,7 @@ class Campaign:
 
     def scenario(self, point: int) -> Scenario:
         """The scenario at a point. Raises `ScenarioError`."""
-        changes: dict[str, Any] = {"variants": {}, "seed": self.settings.seed, "runs": self.settings.runs}
+        changes: dict[str, Any] = {"variants": {}, "seed": self.settings.seed}
         if self.settings.filters:
             changes["alignment.filters"] = list(self.settings.filters)
         return replaced(self.base, changes | self.coordinates[point], origin=f"point {point}")
@@ -186,7 +186,8 @@ def load_campaign(path: Path) -> Campaign:
         except ScenarioError as error:
             where = ", ".join(f"{name} = {value}" for name, value in campaign.coordinates[point].items())
             first = str(error).splitlines()[0].removeprefix(f"point {point}: ")
-            raise ScenarioError(f"{told}: axes: at {shortened(printable(where), 200)}: {first}") from error
+            at = f"axes: at {shortened(printable(where), 200)}: " if where else ""
+            raise ScenarioError(f"{told}: {at}{first}") from error
     return campaign
 
 
