@@ -209,4 +209,5 @@ def _fault_record(
         quarantined_for=np.zeros(nodes, np.int64) if monitor is None else monitor.reason,
         forged_arrival=intruders.forged,
         replayed_arrival=intruders.replayed,
+        disturbed_s=np.array(() if monitor is None else monitor.disturbed_s),
     )

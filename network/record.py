@@ -1,6 +1,6 @@
 """What a run of the fleet's network leaves beside its fixes: for the report, the recording and the scores."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
@@ -61,6 +61,9 @@ class FaultRecord:
     """(p,) s, truth: times of arrival of packets that an intruder made up or changed."""
     replayed_arrival: Array
     """(q,) s, truth: those of packets that an intruder sent again."""
+    disturbed_s: Array = field(default_factory=lambda: np.zeros(0))
+    """(d,) s, epochs at which nodes contradicted each other and no few were at fault: many may be off, as
+    where a side has no line of sight."""
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,11 @@
 """How far ranges contradict where anchors say they are, and each other, at epochs as they were solved."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from ..fleet import OWN_SHIP
 from ._dense import ONE_SIDED, SQUARED, Terms
 from .problem import Array, Booleans, Integers
 
@@ -34,6 +36,31 @@ class Evidence(NamedTuple):
     rates: Array
     heights: Array
     """(k, n) m."""
+    beliefs: Array
+    """(k, n, B) of all that were anchors at first, still believed or not."""
+    belief_sd: Array
+    """(B,) of these."""
+
+
+_OF_EPOCHS = ("t", "states", "w_range", "w_rate", "ranges", "rates", "heights", "beliefs")
+
+
+def joined(parts: Sequence[Evidence], last: int | None = None) -> Evidence:
+    """Consecutive evidence as one, with the terms and nodes of the last; of it the ``last`` epochs alone, if
+    given."""
+    rows = slice(None if last is None else -last, None)
+    columns = {name: np.concatenate([getattr(part, name) for part in parts])[rows] for name in _OF_EPOCHS}
+    return parts[-1]._replace(**columns)
+
+
+def range_residuals(seen: Evidence) -> tuple[Array, Array]:
+    """(k, m) of all pairs, and directions (k, m, 3) from the second to the first of each."""
+    i, j = seen.terms.links.T
+    u, distance = _sights(seen.states, i, j)
+    residual = seen.ranges - distance
+    if seen.terms.clocks:
+        residual = residual - (seen.states[:, i, 3] - seen.states[:, j, 3])
+    return residual, u
 
 
 def gradients(seen: Evidence) -> Array:
@@ -73,16 +100,12 @@ def gradients(seen: Evidence) -> Array:
 def biases(seen: Evidence) -> Array:
     """(k, n) what all ranges of a node are too long by, in standard deviations; NaN where they cannot tell.
 
-    Neighbours are taken for known. Where they are not, residuals are smaller than that lets expect.
+    Neighbours are taken for known. Where they are not, residuals are smaller than that lets expect. Links
+    with the own ship are not looked at: they err together where it is the own ship that has no sight.
     """
-    terms, S = seen.terms, seen.states
-    i, j = terms.links.T
-    n = S.shape[1]
-    u, distance = _sights(S, i, j)
-    root_w = np.sqrt(seen.w_range)
-    residual = seen.ranges - distance
-    if terms.clocks:
-        residual = residual - (S[:, i, 3] - S[:, j, 3])
+    terms, n = seen.terms, seen.states.shape[1]
+    residual, u = range_residuals(seen)
+    root_w = np.sqrt(seen.w_range) * (terms.links != OWN_SHIP).all(axis=1)
     residual = (residual * root_w).clip(-_CUT, _CUT)
     moves = u * root_w[..., None]
     if terms.clocks:

@@ -7,6 +7,7 @@ Ranges and range rates are solved together: a range rate tells of a direction, a
 of velocities, and velocities from range rates at given positions would have to bear the errors of these.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -101,6 +102,7 @@ class Tracker:
             components.insert(3, _Component(offset_sd, 1e7, 1e6))
             components.append(_Component(drift_sd, 1e3, 1e2))
         anchor_sd, floor_sd, weak_sd = np.array(components).T
+        self._all_anchors, self._anchor_sd = anchor, anchor_sd
         self._w_prior = np.where(anchor[:, None], anchor_sd**-2.0, 0.0)
         self._floor, self._weak = floor_sd**-2.0, weak_sd**-2.0
         n, first = len(anchor), 4 if self._clocks else 3
@@ -114,24 +116,26 @@ class Tracker:
         self._gossip = Gossip(settings, np.diag(weak_sd**2), n)
         self._silenced = np.zeros(n, np.bool_)
 
-    def disbelieve(self, anchor: int) -> None:
-        """Take an anchor for a node like others from now on."""
-        self._anchor = self._anchor & (np.arange(len(self._anchor)) != anchor)
-        self._w_prior[anchor] = 0.0
-        self._started[anchor] &= self._t is not None
-        self._located_s[anchor] = -np.inf if self._t is None else self._t
+    def leave_out(self, disbelieved: Collection[int], silent: Collection[int]) -> None:
+        """From now on take these anchors, and no others, for nodes like others; use no ranges of the silent,
+        nor of those that were silent before."""
+        out = np.isin(np.arange(len(self._anchor)), list(disbelieved))
+        fallen = self._anchor & out
+        self._anchor = self._all_anchors & ~out
+        self._w_prior = np.where(self._anchor[:, None], self._anchor_sd**-2.0, 0.0)
+        self._started[fallen] &= self._t is not None
+        self._located_s[fallen] = -np.inf if self._t is None else self._t
+        self._silenced[list(silent)], self._started[list(silent)] = True, False
+        self._chain_outcome[list(silent)] = NodeOutcome.QUARANTINED
 
-    def silence(self, node: int) -> None:
-        """Use no ranges of a node from now on."""
-        self._silenced[node], self._started[node] = True, False
-        self._chain_outcome[node] = NodeOutcome.QUARANTINED
-
-    def advance(self, epochs: Epochs) -> Track:
-        """Estimates of the next epochs. Nodes are started at the first of them, if at all."""
+    def advance(self, epochs: Epochs, anew: bool = True) -> Track:
+        """Estimates of the next epochs. Nodes are started at the first of them, if at all, and if ``anew`` or
+        if none were before."""
         if self._silenced.any():
             audible = ~self._silenced[epochs.pairs].any(axis=1)
             epochs = replace(epochs, heard=epochs.heard & audible)
-        if not (self._started | self._silenced).all() and epochs.t[0] - self._chain_s >= self._wait_s:
+        missing = not (self._started | self._silenced).all() and (anew or self._t is None)
+        if missing and epochs.t[0] - self._chain_s >= self._wait_s:
             self._start(epochs)
             patient = min(2 * self._wait_s, RESTART_S)
             self._wait_s = RESTART_S if self._started[OWN_SHIP] else patient
@@ -174,7 +178,8 @@ class Tracker:
             )
         self._t = float(epochs.t[-1])
         solved = epochs.t, terms, states, self._started.copy(), self._floor
-        seen = Evidence(*solved, w_range, w_rate, epochs.ranges, epochs.rates, heights)
+        told = epochs.ranges, epochs.rates, heights, beliefs, self._anchor_sd
+        seen = Evidence(*solved, w_range, w_rate, *told)
         own_cov, cov, shared = (
             part[:, self._kinematic][:, :, self._kinematic] for part in (own_cov, cov, shared)
         )
@@ -250,10 +255,10 @@ class Tracker:
         self._gossip.start(self._S, new, found.cov)
 
     def _beliefs(self, epochs: Epochs) -> Array:
-        """(k, n, B) what anchors believe of themselves; their clocks they take for right."""
+        """(k, n, B) what all anchors say of themselves, believed or not; their clocks they take for right."""
         beliefs = np.zeros((*epochs.belief_x.shape[:2], self._S.shape[1]))
         both = np.concatenate([epochs.belief_x, epochs.belief_v], axis=-1)
-        beliefs[..., self._kinematic] = np.where(self._anchor[:, None], both, 0.0)
+        beliefs[..., self._kinematic] = np.where(self._all_anchors[:, None], both, 0.0)
         return beliefs
 
     def _place(self) -> Integers:

@@ -1,14 +1,29 @@
 """A fleet that is tracked under the eyes of a `quarantine.Monitor`."""
 
+from collections import deque
+from collections.abc import Collection
 from copy import deepcopy
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ..record import QuarantineReason
+from .contradictions import joined
 from .epochs import Epochs
+from .exclusion import Stand
 from .quarantine import Monitor
 from .tracking import Track, Tracker
+
+_TRIES = 8
+"""At finding out who is at fault."""
+
+
+class _Past(NamedTuple):
+    """Epochs that were solved, and the tracker before."""
+
+    tracker: Tracker
+    epochs: Epochs
 
 
 class WatchedTracker:
@@ -16,10 +31,10 @@ class WatchedTracker:
 
     def __init__(self, tracker: Tracker, monitor: Monitor) -> None:
         self._tracker, self._monitor = tracker, monitor
-        for node in np.flatnonzero(
-            np.isin(monitor.reason, (QuarantineReason.BELIEF, QuarantineReason.RANGES))
-        ):
-            self._leave_out(int(node), QuarantineReason(monitor.reason[node]))
+        self._past: deque[_Past] = deque()
+        self._disbelieved: frozenset[int] = frozenset()
+        self._silent: frozenset[int] = frozenset()
+        self._leave_out(*(monitor.left_out(r) for r in (QuarantineReason.BELIEF, QuarantineReason.RANGES)))
 
     def advance(self, epochs: Epochs) -> Track:
         """As `Tracker.advance`. The epoch at which a node is found out is solved without it, and those after:
@@ -29,15 +44,23 @@ class WatchedTracker:
             before = deepcopy(self._tracker)
             track = self._tracker.advance(epochs)
             assert track.seen is not None
-            found = self._monitor.judge(track.seen)
-            if found is None:
+            self._trim(self._monitor.remembered)
+            at = self._monitor.alarm(track.seen)
+            if self._monitor.remembered <= len(epochs.t):
+                self._past.clear()
+            found = None if at is None else self._at_fault([*self._past, _Past(before, epochs[: at + 1])])
+            if at is None or found is None:
+                if at is not None:
+                    self._monitor.disturbed_s += epochs.t[at:].tolist()
+                self._past.append(_Past(before, epochs))
                 parts.append(track)
                 break
             self._tracker = before
-            if found.epoch:
-                parts.append(self._tracker.advance(epochs[: found.epoch]))
-            self._leave_out(found.node, found.reason)
-            epochs = epochs[found.epoch :]
+            if at:
+                parts.append(self._tracker.advance(epochs[:at]))
+            self._leave_out(*found)
+            self._monitor.leave_out(*found, float(epochs.t[at]))
+            epochs = epochs[at:]
         last = parts[-1]
         return replace(
             last,
@@ -47,6 +70,51 @@ class WatchedTracker:
             outcome=np.concatenate([part.outcome for part in parts]),
         )
 
-    def _leave_out(self, node: int, reason: QuarantineReason) -> None:
-        leave_out = self._tracker.disbelieve if reason == QuarantineReason.BELIEF else self._tracker.silence
-        leave_out(node)
+    def _trim(self, remembered: int) -> None:
+        """Forget what the monitor's windows no longer hold."""
+        while sum(len(past.epochs.t) for past in list(self._past)[1:]) >= remembered and self._past:
+            self._past.popleft()
+
+    def _at_fault(self, past: list[_Past]) -> tuple[frozenset[int], frozenset[int]] | None:
+        """Whom not to believe, and whose ranges not to use, from the last epoch on; None if that is no few.
+
+        Those are tried who stand out by the noise that is stated, and have to stand out by what ranges of
+        the others turn out to disagree by, with nobody else beside them.
+        """
+        monitor, disbelieved, silent = self._monitor, self._disbelieved, self._silent
+        stand, excess = self._tried(past, disbelieved, silent), 0.0
+        blamed: dict[int, Stand] = {}
+        agreed = False
+        for _ in range(_TRIES):
+            of_ranges = stand.of_ranges(excess) * monitor.judged(silent)
+            worst = int(np.argmax(of_ranges))
+            if of_ranges[worst] > 1:
+                # False ranges pull anchors, too; where an anchor says it is pulls no more than one range.
+                blamed[worst], silent = stand, silent | {worst}
+            else:
+                named, agreed = stand.to_disbelieve(excess, monitor.may_disbelieve(silent))
+                if named == disbelieved:
+                    break
+                disbelieved = named
+            stand = self._tried(past, disbelieved, silent)
+            excess = stand.excess
+        else:
+            return None
+        proven = all(before.of_ranges(excess)[node] > 1 for node, before in blamed.items())
+        new = (disbelieved, silent) != (self._disbelieved, self._silent)
+        return (disbelieved, silent) if agreed and proven and new else None
+
+    def _tried(self, past: list[_Past], disbelieved: Collection[int], silent: Collection[int]) -> Stand:
+        """Where nodes would stand at the end, had these been left out."""
+        tracker = deepcopy(past[0].tracker)
+        tracker.leave_out(disbelieved, silent)
+        # To start nodes from nothing takes longest, and who has no place contradicts nobody.
+        seen = [tracker.advance(each.epochs, anew=False).seen for each in past]
+        windows = self._monitor.limits.windows
+        evidence = joined([part for part in seen if part is not None], windows[-1])
+        judged = self._monitor.anchor & ~np.isin(np.arange(len(self._monitor.anchor)), list(silent))
+        return Stand(evidence, judged, self._monitor.limits)
+
+    def _leave_out(self, disbelieved: frozenset[int], silent: frozenset[int]) -> None:
+        self._tracker.leave_out(disbelieved, silent)
+        self._disbelieved, self._silent = disbelieved, silent
