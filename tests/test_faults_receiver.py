@@ -116,8 +116,34 @@ def test_errors_are_within_the_limits_30_s_after_an_outage(outage, name):
 
 
 def test_no_jump_of_an_outage_is_unflagged(outage):
-    _, unflagged = outage[3].sum(axis=0)
+    """A filter that knows its errors hardly jumps; that jumps are found and need flags, the next test shows."""
+    total, unflagged = outage[3].sum(axis=0)
     assert unflagged == 0
+    # 200 ends of outages, at which nine errors move by up to a standard deviation: a jump is a chance of
+    # 9 * 2.7e-3 at the most.
+    assert total < 15
+
+
+@pytest.mark.parametrize("name", JUDGED)
+def test_a_jump_after_an_outage_is_flagged(faults, name):
+    """An accelerometer goes off by 2 mg for the outage, twenty standard deviations of its bias: the filter is
+    astray by ten of its own, refuses the first fixes, and starts again."""
+    scenario = with_filters(faults.variant("outage of 60 s across the S"), [name])
+    flight = cached_flight(scenario.flight)[0]
+    window, (gap,) = alignment_window(scenario, flight), scenario.outages
+    for run_id in range(5):
+        run = simulate(scenario, flight, run_id, scenario.seed)
+        since = run.imu.time - window.time[0]
+        off = run.imu.dv_b.copy()
+        off[(since > gap.start_s) & (since < gap.end_s), 0] += 2e-3 * 9.8 * window.dt
+        found = again(scenario, window, replace(run, imu=replace(run.imu, dv_b=off)), run.fixes, name)
+        total, unflagged = jumps(found, window, scenario.imu.vibration_mps)
+        assert total > 0
+        assert unflagged == 0
+        after = found.time[found.jumped] - window.time[0] - gap.end_s
+        assert ((after > 0) & (after < 5)).all()
+        # Without its flags the same jump is one that nobody tells.
+        assert jumps(replace(found, jump=np.zeros_like(found.jump)), window, 0.01)[1] == total
 
 
 @pytest.mark.parametrize("name", ["ekf_stamped", "l2linf", "srckf_stamped"])
@@ -214,10 +240,15 @@ def test_outliers_are_refused_and_the_good_are_not(false_fixes, name):
 def test_outliers_cost_less_than_a_fifth(false_fixes, name):
     clean, spoilt = (scores[name] for scores in false_fixes[0])
     assert spoilt.failures == {}
-    for ratio, low, high in paired_ratios(spoilt.errors[:, -1], clean.errors[:, -1]).values():
+    ratios = paired_ratios(spoilt.errors[:, -1], clean.errors[:, -1])
+    for ratio, _, high in ratios.values():
         assert ratio <= 1.2
-        assert low < 1.2 < 1.3 * ratio
+        # The interval of the heading, 1.10, reaches 1.20 with 100 runs; a gate that let a few through would
+        # double it.
         assert high < 1.25
+    # They cost something, or nothing was spoilt: who starts from one learns of the heading later.
+    assert ratios["heading"][1] > 1.0
+    assert ratios["level"][0] > 0.9
 
 
 def test_who_was_false_is_known_to_the_score_alone(stated, flight):
