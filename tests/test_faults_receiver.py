@@ -116,7 +116,7 @@ def test_errors_are_within_the_limits_30_s_after_an_outage(outage, name):
 
 
 def test_no_jump_of_an_outage_is_unflagged(outage):
-    """A filter that knows its errors hardly jumps; that jumps are found and need flags, the next test shows."""
+    """A filter that knows its errors hardly jumps; that jumps are found, the next test shows."""
     total, unflagged = outage[3].sum(axis=0)
     assert unflagged == 0
     # 200 ends of outages, at which nine errors move by up to a standard deviation: a jump is a chance of
