@@ -12,10 +12,10 @@ from ..sins import earth
 from .faults import Trouble
 from .fleet import OWN_SHIP, Fleet, FleetSettings
 from .localization.chain import LocalizationSettings
-from .localization.epochs import Epochs
+from .localization.epochs import Epochs, Track
 from .localization.following import Follower
 from .localization.quarantine import Monitor
-from .localization.tracking import Track, Tracker
+from .localization.tracking import Tracker
 from .localization.watching import WatchedTracker
 from .radio import Radio
 from .record import Array, Booleans, Integers

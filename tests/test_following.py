@@ -10,9 +10,10 @@ from fleetalign.network.fleet import CentrePath
 from fleetalign.network.fleet_network import FleetNetwork, fly_network
 from fleetalign.network.localization import _cholesky, _tracking
 from fleetalign.network.localization.chain import LocalizationSettings
+from fleetalign.network.localization.epochs import Track
 from fleetalign.network.localization.following import Follower
 from fleetalign.network.localization.problem import NodeOutcome
-from fleetalign.network.localization.tracking import RESTART_S, Track
+from fleetalign.network.localization.tracking import RESTART_S
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 

@@ -97,8 +97,11 @@ class Stand:
         sd = seen.belief_sd
         self._n, self._size, self._rows = n, len(sd), known
         C = C[place[known]][:, :, place[known]] / sd[:, None, None] / sd
+        # Others that hardly know where it is, or where they are, cannot contradict an anchor.
+        spread, held = np.einsum("aiai->ai", C)[:, :3].max(axis=1), seen.terms.w_prior[known, 0] > 0
+        self._known = np.where(held, 1 / np.maximum(1 - spread, 1e-12), spread) < (KNOWN_M / sd[0]) ** 2
         told = self._averages(pulls * sd), self._averages(off / sd)
-        believed = np.repeat(seen.terms.w_prior[known, 0] > 0, len(sd))
+        believed = np.repeat(held, len(sd))
         self._told = [(C, believed, *means) for means in zip(*told, strict=True)]
 
     def _averages(self, rows: Array) -> list[Array]:
@@ -118,17 +121,17 @@ class Stand:
         joints, limit2 = self._joints(excess), self._limits.belief(self._size) ** 2
         if not joints:
             return frozenset(), True
-        a = len(self._rows)
+        judged = np.flatnonzero(self._known).tolist()
         gains: dict[tuple[int, ...], Array] = {(): np.zeros(len(joints))}
         best, kept = (), [()]
         for _ in range(most + 1):
-            further = sorted({tuple(sorted({*out, i})) for out in kept for i in range(a) if i not in out})
+            further = sorted({tuple(sorted({*out, i})) for out in kept for i in judged if i not in out})
             if not further:
                 break
             rows = np.stack([joint.gained(np.array(further)) for joint in joints], axis=1)
             gains.update(zip(further, rows, strict=True))
             for out in kept:
-                more = [gains[tuple(sorted({*out, i}))] - gains[out] for i in range(a) if i not in out]
+                more = [gains[tuple(sorted({*out, i}))] - gains[out] for i in judged if i not in out]
                 if len(more) and np.max(more) <= limit2 and self._each_needed(out, gains, limit2):
                     return self._named(out), True
             best = kept[0]

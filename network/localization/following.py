@@ -11,9 +11,10 @@ import numpy as np
 from ...sins.gaussian import transposed
 from ..fleet import OWN_SHIP
 from .chain import LocalizationSettings
+from .epochs import Track
 from .problem import Array, NodeOutcome
 from .repeated_ranging import UPDATES
-from .tracking import RESTART_S, Track
+from .tracking import RESTART_S
 
 
 class Follower:

@@ -8,7 +8,7 @@ of velocities, and velocities from range rates at given positions would have to 
 """
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from . import _tracking
 from ._dense import Terms, minimize
 from .chain import LocalizationSettings, localize
 from .contradictions import Evidence
-from .epochs import Epochs
+from .epochs import Epochs, Track
 from .gossip import Gossip
 from .least_squares import LOSSES
 from .problem import Array, Booleans, Integers, NodeOutcome, RangeProblem
@@ -35,29 +35,6 @@ INCONSISTENT_CHANCE = 1e-6
 """Chance, about, at which noise alone makes a node count as inconsistent."""
 _ITERATIONS = 20
 _NANOSECOND = 1e-9
-
-
-@dataclass(frozen=True)
-class Track:
-    """Estimates of k epochs, each in its own frame; NaN where there are none."""
-
-    x: Array
-    """(k, n, 3) m, of nodes that are `LOCATED`, and of anchors."""
-    v: Array
-    """(k, n, 3) m/s relative to the earth."""
-    own_cov: Array
-    """(k, 6, 6) of the own ship's position and velocity."""
-    sd: Array
-    """(n, 6) of each node's position and velocity, at the first of the epochs; NaN for nodes without."""
-    outcome: Integers
-    """(k, n) `NodeOutcome`."""
-    cov: Array
-    """(n, 6, 6) of each node's position and velocity, at the first of the epochs; NaN likewise."""
-    shared: Array
-    """(n, 6, 6) the part of ``cov`` that is of the anchors' errors, the same at all epochs; (0, 6, 6) where
-    each epoch stands by itself (`LocalizationSettings.tracker`)."""
-    seen: Evidence | None = None
-    """For a `quarantine.Monitor`."""
 
 
 class _Component(NamedTuple):
@@ -128,17 +105,24 @@ class Tracker:
         self._silenced[list(silent)], self._started[list(silent)] = True, False
         self._chain_outcome[list(silent)] = NodeOutcome.QUARANTINED
 
-    def advance(self, epochs: Epochs, anew: bool = True) -> Track:
-        """Estimates of the next epochs. Nodes are started at the first of them, if at all, and if ``anew`` or
-        if none were before."""
-        if self._silenced.any():
-            audible = ~self._silenced[epochs.pairs].any(axis=1)
-            epochs = replace(epochs, heard=epochs.heard & audible)
-        missing = not (self._started | self._silenced).all() and (anew or self._t is None)
+    def start(self, epochs: Epochs) -> Booleans:
+        """Start nodes that have no place at the first epoch, if it is time to; (n,) those that now have."""
+        before = self._started.copy()
+        missing = not (before | self._silenced).all()
         if missing and epochs.t[0] - self._chain_s >= self._wait_s:
-            self._start(epochs)
+            self._start(self._audible(epochs))
             patient = min(2 * self._wait_s, RESTART_S)
             self._wait_s = RESTART_S if self._started[OWN_SHIP] else patient
+        return self._started & ~before
+
+    def advance(self, epochs: Epochs) -> Track:
+        """Estimates of the next epochs. Nodes are started at the first of them, if at all."""
+        self.start(epochs)
+        return self.follow(epochs)
+
+    def follow(self, epochs: Epochs) -> Track:
+        """As `advance`, of nodes that were started before."""
+        epochs = self._audible(epochs)
         k, (n, B) = len(epochs.t), self._S.shape
         beliefs = self._beliefs(epochs)
         i, j = epochs.pairs.T
@@ -253,6 +237,10 @@ class Tracker:
             np.empty(N),
         )
         self._gossip.start(self._S, new, found.cov)
+
+    def _audible(self, epochs: Epochs) -> Epochs:
+        heard = epochs.heard & ~self._silenced[epochs.pairs].any(axis=1)
+        return replace(epochs, heard=heard) if self._silenced.any() else epochs
 
     def _beliefs(self, epochs: Epochs) -> Array:
         """(k, n, B) what all anchors say of themselves, believed or not; their clocks they take for right."""

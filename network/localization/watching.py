@@ -10,13 +10,10 @@ import numpy as np
 
 from ..record import QuarantineReason
 from .contradictions import joined
-from .epochs import Epochs
+from .epochs import Epochs, Track
 from .exclusion import Stand
 from .quarantine import Monitor
-from .tracking import Track, Tracker
-
-_TRIES = 8
-"""At finding out who is at fault."""
+from .tracking import Tracker
 
 
 class _Past(NamedTuple):
@@ -41,8 +38,10 @@ class WatchedTracker:
         no estimate rests on what came later. Covariances are those after the last that was found out."""
         parts: list[Track] = []
         while len(epochs.t):
+            if self._tracker.start(epochs).any():
+                self._past.clear()
             before = deepcopy(self._tracker)
-            track = self._tracker.advance(epochs)
+            track = self._tracker.follow(epochs)
             assert track.seen is not None
             self._trim(self._monitor.remembered)
             at = self._monitor.alarm(track.seen)
@@ -57,7 +56,7 @@ class WatchedTracker:
                 break
             self._tracker = before
             if at:
-                parts.append(self._tracker.advance(epochs[:at]))
+                parts.append(self._tracker.follow(epochs[:at]))
             self._leave_out(*found)
             self._monitor.leave_out(*found, float(epochs.t[at]))
             epochs = epochs[at:]
@@ -84,8 +83,8 @@ class WatchedTracker:
         monitor, disbelieved, silent = self._monitor, self._disbelieved, self._silent
         stand, excess = self._tried(past, disbelieved, silent), 0.0
         blamed: dict[int, Stand] = {}
-        agreed = False
-        for _ in range(_TRIES):
+        agreed, tried = False, {(disbelieved, silent)}
+        while True:
             of_ranges = stand.of_ranges(excess) * monitor.judged(silent)
             worst = int(np.argmax(of_ranges))
             if of_ranges[worst] > 1:
@@ -96,10 +95,11 @@ class WatchedTracker:
                 if named == disbelieved:
                     break
                 disbelieved = named
+            if (disbelieved, silent) in tried:
+                return None
+            tried.add((disbelieved, silent))
             stand = self._tried(past, disbelieved, silent)
             excess = stand.excess
-        else:
-            return None
         proven = all(before.of_ranges(excess)[node] > 1 for node, before in blamed.items())
         new = (disbelieved, silent) != (self._disbelieved, self._silent)
         return (disbelieved, silent) if agreed and proven and new else None
@@ -108,8 +108,7 @@ class WatchedTracker:
         """Where nodes would stand at the end, had these been left out."""
         tracker = deepcopy(past[0].tracker)
         tracker.leave_out(disbelieved, silent)
-        # To start nodes from nothing takes longest, and who has no place contradicts nobody.
-        seen = [tracker.advance(each.epochs, anew=False).seen for each in past]
+        seen = [tracker.follow(each.epochs).seen for each in past]
         windows = self._monitor.limits.windows
         evidence = joined([part for part in seen if part is not None], windows[-1])
         judged = self._monitor.anchor & ~np.isin(np.arange(len(self._monitor.anchor)), list(silent))
