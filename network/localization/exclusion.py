@@ -88,8 +88,15 @@ class Stand:
         self._limits, n = limits, len(anchor)
         self._windows = [window for window in limits.windows if window <= len(seen.t)]
         C, place = covariance(seen)
-        self.excess = _excess_variance(seen, C, place, limits.chance)
+        self.ratio, noise = _variance_ratio(seen, C, place, limits.chance)
+        """Mean square of all ranges' residuals over that which is stated, as far as the fit leaves it."""
+        self.excess = self.ratio - 1 if self.ratio > noise else 0.0
         """Variance of ranges beyond what is stated, over what is stated; 0 where it is no more than noise."""
+        squares = np.sum(seen.w_range * range_residuals(seen)[0] ** 2, axis=0)
+        of_nodes = np.bincount(seen.terms.links.ravel(), np.repeat(squares, 2), n)
+        of_nodes[OWN_SHIP] = 0.0
+        self.worst = int(np.argmax(of_nodes))
+        """The node whose ranges are off by most, whatever its place."""
         z = biases(seen)
         self._biases = [np.mean(z[-window:], axis=0) for window in self._windows]
         known = np.flatnonzero(anchor & seen.started)
@@ -208,8 +215,8 @@ def _medians(rows: Array) -> Array:
     return 0.5 * (middle[0] + middle[1])
 
 
-def _excess_variance(seen: Evidence, C: Array, place: Integers, chance: float) -> float:
-    """By how much the mean square of all ranges' residuals, in variances, is larger than noise makes it.
+def _variance_ratio(seen: Evidence, C: Array, place: Integers, chance: float) -> tuple[float, float]:
+    """Mean square of all ranges' residuals, in variances and over what the fit leaves of 1, and its limit.
 
     Those of the own ship are left to the judgement of its fixes: where its links are blocked, the fleet's
     others still know where they are.
@@ -226,7 +233,7 @@ def _excess_variance(seen: Evidence, C: Array, place: Integers, chance: float) -
     fitted = w.max(axis=0) * np.einsum("ma,mab,mb->m", u, apart, u)
     freedom = float(np.sum((w > 0) * (1 - np.minimum(fitted, 1.0))))
     if freedom < 1:
-        return np.inf
+        return np.inf, 1.0
     ratio = float(np.sum(w * residual[:, pairs] ** 2)) / freedom
     noise = max(MARGIN**2, float(chi2.isf(chance, freedom)) / freedom)
-    return ratio - 1 if ratio > noise else 0.0
+    return ratio, noise

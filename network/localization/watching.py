@@ -15,6 +15,9 @@ from .exclusion import Stand
 from .quarantine import Monitor
 from .tracking import Tracker
 
+_LeftOut = tuple[frozenset[int], frozenset[int]]
+"""Anchors that are not believed, and nodes whose ranges are not used."""
+
 
 class _Past(NamedTuple):
     """Epochs that were solved, and the tracker before."""
@@ -74,35 +77,51 @@ class WatchedTracker:
         while sum(len(past.epochs.t) for past in list(self._past)[1:]) >= remembered and self._past:
             self._past.popleft()
 
-    def _at_fault(self, past: list[_Past]) -> tuple[frozenset[int], frozenset[int]] | None:
-        """Whom not to believe, and whose ranges not to use, from the last epoch on; None if that is no few.
+    def _at_fault(self, past: list[_Past]) -> _LeftOut | None:
+        """Whom not to believe, and whose ranges not to use, from the last epoch on; None if no few are."""
+        stand = self._tried(past, self._disbelieved, self._silent)
+        found, named = self._contradicting(past, stand)
+        if found is not None or not stand.excess:
+            return found
+        # Ranges disagree: is it all ranges of the one that stood out, or of one or two that are off by most?
+        cures: list[tuple[float, _LeftOut]] = []
+        tried = [named] if len(named) == 1 else []
+        tried.append(frozenset({stand.worst}))
+        for nodes in tried:
+            disbelieved, silent = self._disbelieved - nodes, self._silent | nodes
+            after = self._tried(past, disbelieved, silent)
+            if after.excess and len(nodes) == 1 and nodes != named:
+                tried.append(nodes | {after.worst})
+            if not after.excess and self._named(after, 0.0, disbelieved, silent) == (disbelieved, silent):
+                cures.append((after.ratio, (disbelieved, silent)))
+        return min(cures, key=lambda cure: cure[0])[1] if cures else None
 
-        Those are tried who stand out by the noise that is stated, and have to stand out by what ranges of
-        the others turn out to disagree by, with nobody else beside them.
-        """
-        monitor, disbelieved, silent = self._monitor, self._disbelieved, self._silent
-        stand, excess = self._tried(past, disbelieved, silent), 0.0
-        blamed: dict[int, Stand] = {}
-        agreed, tried = False, {(disbelieved, silent)}
-        while True:
-            of_ranges = stand.of_ranges(excess) * monitor.judged(silent)
-            worst = int(np.argmax(of_ranges))
-            if of_ranges[worst] > 1:
-                # False ranges pull anchors, too; where an anchor says it is pulls no more than one range.
-                blamed[worst], silent = stand, silent | {worst}
-            else:
-                named, agreed = stand.to_disbelieve(excess, monitor.may_disbelieve(silent))
-                if named == disbelieved:
-                    break
-                disbelieved = named
-            if (disbelieved, silent) in tried:
-                return None
-            tried.add((disbelieved, silent))
-            stand = self._tried(past, disbelieved, silent)
-            excess = stand.excess
-        proven = all(before.of_ranges(excess)[node] > 1 for node, before in blamed.items())
-        new = (disbelieved, silent) != (self._disbelieved, self._silent)
-        return (disbelieved, silent) if agreed and proven and new else None
+    def _contradicting(self, past: list[_Past], stand: Stand) -> tuple[_LeftOut | None, frozenset[int]]:
+        """Those who stand out by the noise that is stated, and by what ranges of the others turn out to
+        disagree by, with nobody else beside them; None if there are none. And who was named first."""
+        before = out = self._disbelieved, self._silent
+        stands, excess, first = {out: stand}, 0.0, frozenset[int]()
+        while (named := self._named(stands[out], excess, *out)) != out:
+            if named is None or named in stands:
+                return None, first
+            first = first or (named[0] | named[1]) - (before[0] | before[1])
+            stands[named] = self._tried(past, *named)
+            blamed = named[1] - out[1]
+            out, excess = named, stands[named].excess
+            if any(stands[before].of_ranges(excess)[node] <= 1 for node in blamed & named[1]):
+                return None, first
+        return (None if out == before else out), first
+
+    def _named(
+        self, stand: Stand, excess: float, disbelieved: frozenset[int], silent: frozenset[int]
+    ) -> _LeftOut | None:
+        """Who else, or else who, is at fault where these are left out; None if no few are."""
+        of_ranges = stand.of_ranges(excess) * self._monitor.judged(silent)
+        if of_ranges.max() > 1:
+            # False ranges pull anchors, too; where an anchor says it is pulls no more than one range of it.
+            return disbelieved, silent | {int(np.argmax(of_ranges))}
+        named, agreed = stand.to_disbelieve(excess, self._monitor.may_disbelieve(silent))
+        return (named, silent) if agreed or named != disbelieved else None
 
     def _tried(self, past: list[_Past], disbelieved: Collection[int], silent: Collection[int]) -> Stand:
         """Where nodes would stand at the end, had these been left out."""
