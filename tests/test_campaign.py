@@ -10,11 +10,12 @@ import sys
 import time
 from functools import partial
 
+import dask
 import numpy as np
 import psutil
 import pyarrow.parquet as pq
 import pytest
-from fleetalign.cosim.campaign import engine, ledger
+from fleetalign.cosim.campaign import cluster, engine, ledger
 from fleetalign.cosim.campaign.cluster import on_cluster
 from fleetalign.cosim.campaign.engine import locally, run_campaign
 from fleetalign.cosim.campaign.ledger import Ledger, read_points
@@ -133,7 +134,7 @@ from fleetalign.cosim.campaign import shard as real
 
 def done_shard(scenario, shard):
     runs = range(shard.first_run, shard.first_run + shard.runs)
-    if 3 in runs:
+    if {3, 9} & set(runs):
         os._exit(9)
     real.simulate = broken
     return real.done_shard(scenario, shard)
@@ -149,62 +150,81 @@ def broken(scenario, flight, run_id, seed):
 """
 
 
-def test_poison_runs_are_failed_rows_and_the_rest_finishes(file, tmp_path, monkeypatch):
+@pytest.mark.parametrize("by", ["locally", "on_cluster"])
+def test_poison_runs_are_failed_rows_and_the_rest_finishes(file, tmp_path, monkeypatch, by):
     (tmp_path / "poison_of_a_test.py").write_text(POISON)
     monkeypatch.syspath_prepend(tmp_path)
     import poison_of_a_test
 
-    monkeypatch.setattr(engine, "done_shard", poison_of_a_test.done_shard)
-    file.write_text(CAMPAIGN.replace("runs = 5", "runs = 4").replace("[0.1, 0.2]", "[0.1]"))
+    module = engine if by == "locally" else cluster
+    monkeypatch.setattr(module, "done_shard", poison_of_a_test.done_shard)
+    file.write_text(CAMPAIGN.replace("runs = 5", "runs = 12").replace("[0.1, 0.2]", "[0.1]"))
     campaign, folder = load_campaign(file), tmp_path / "out"
-    with Ledger(folder, campaign, resume=False) as kept:
-        run_campaign(campaign, kept, partial(locally, workers=2))
+    # Dask gives up a task whose worker dies four times: one is enough, and blames more of those beside it.
+    one = dask.config.set({"distributed.scheduler.allowed-failures": 0})
+    with one, Ledger(folder, campaign, resume=False) as kept:
+        run_campaign(campaign, kept, partial(getattr(module, by), workers=2))
     failures = {}
     for point, table in read_points(folder):
         for row in table.to_pylist():
             failures[point, row["run"], row["filter"]] = row["failure"]
-    assert len(failures) == 4 * 2
-    reasons = {(0, 1): "ZeroDivisionError: a run", (0, 3): engine.DIED}
-    for (point, run, _), reason in failures.items():
-        assert reason == reasons.get((point, run))
+    assert len(failures) == 12 * 2
+    reasons = {1: "ZeroDivisionError: a run", 3: engine.DIED, 9: engine.DIED}
+    assert {run: reason for (_, run, _), reason in failures.items() if reason} == reasons
 
 
-def test_a_command_that_is_killed_goes_on_where_it_was(file, tmp_path):
-    whole, killed = tmp_path / "whole", tmp_path / "killed"
-    campaign = load_campaign(file)
-    with Ledger(whole, campaign, resume=False) as kept:
-        run_campaign(campaign, kept, locally)
-    line = [
-        sys.executable,
-        "-m",
-        "fleetalign.cosim.cli",
-        "campaign",
-        str(file),
-        "--out",
-        str(killed),
-        "--quiet",
-    ]
-    for kept in (1, 3):
-        process = subprocess.Popen([*line, "--resume"])
+def test_a_command_that_is_stopped_goes_on_where_it_was(file, tmp_path):
+    """By a kill that lets it tell nobody, by what a batch system sends, and by Ctrl-C, which a terminal sends
+    to the workers, too."""
+    file.write_text(CAMPAIGN.replace("runs = 5", "runs = 30"))
+    folder, shards = tmp_path / "out", 2 * 15
+    options = ["campaign", str(file), "--out", str(folder), "--quiet", "--resume"]
+    line = [sys.executable, "-m", "fleetalign.cosim.cli", *options]
+    for least, number in ((1, signal.SIGKILL), (3, signal.SIGTERM), (5, signal.SIGINT)):
+        process = subprocess.Popen(line, stderr=subprocess.PIPE, text=True, start_new_session=True)
         deadline = time.monotonic() + 120
         while time.monotonic() < deadline and process.poll() is None:
-            if len(list((killed / "shards").glob("*.parquet"))) >= kept:
+            if len(list(folder.glob("shards/*.parquet"))) >= least:
                 break
             time.sleep(0.02)
         workers = psutil.Process(process.pid).children(recursive=True)
-        # By a kill that lets it tell nobody, and by what a batch system sends.
-        process.send_signal(signal.SIGKILL if kept == 1 else signal.SIGTERM)
-        process.wait()
         assert workers
+        if number == signal.SIGINT:
+            os.killpg(process.pid, number)
+        else:
+            process.send_signal(number)
+        _, err = process.communicate(timeout=60)
         assert psutil.wait_procs(workers, timeout=20)[1] == []
-    assert 3 <= len(contents(killed)) <= 6
+        kept = len(contents(folder))
+        assert least <= kept < shards
+        if number == signal.SIGKILL:
+            assert process.returncode == -signal.SIGKILL
+        else:
+            assert process.returncode == 1
+            assert err == f"stopped; {2 * kept} of 60 runs are kept, go on with --resume\n"
     # What a dying disk leaves: a shard that ends early.
-    first = next((killed / "shards").iterdir())
+    first = next((folder / "shards").iterdir())
     first.write_bytes(first.read_bytes()[:100])
-    assert subprocess.run([*line, "--resume"], check=False).returncode == 0
-    assert contents(killed) == contents(whole)
-    rows = [row for _, table in read_points(killed) for row in table.to_pylist()]
-    assert len(rows) == len({(r["point"], r["run"], r["filter"]) for r in rows}) == 2 * 5 * 2
+    campaign = load_campaign(file)
+    whole = {shard.name: done_shard(campaign.scenario(shard.point), shard) for shard in campaign.shards}
+    with Ledger(folder, campaign, resume=True) as ledger:
+        assert len(ledger.done) == kept - 1
+        for shard in set(campaign.shards) - ledger.done:
+            ledger.add(shard, whole[shard.name])
+    assert contents(folder) == whole
+    rows = [row for _, table in read_points(folder) for row in table.to_pylist()]
+    assert len(rows) == len({(r["point"], r["run"], r["filter"]) for r in rows}) == 2 * 30 * 2
+
+
+def test_a_worker_ends_with_the_main_process_even_one_that_begins_after_it():
+    program = "import time; from fleetalign.cosim.campaign.engine import _quiet; _quiet(0); time.sleep(60)"
+    assert subprocess.run([sys.executable, "-c", program], timeout=50, check=False).returncode == 1
+    pool = engine._pool(1)
+    try:
+        assert pool.submit(os.getppid).result() == os.getpid()
+        pool.submit(time.sleep, 3 * engine._WATCH_S).result()  # and goes on while that lives
+    finally:
+        engine._stop(pool)
 
 
 TEN_KILLS = """

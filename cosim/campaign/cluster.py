@@ -58,7 +58,7 @@ def _completed(client: Any, campaign: Campaign, shards: list[Shard]) -> Iterator
     from distributed import as_completed
     from distributed.scheduler import KilledWorker
 
-    waiting, by_key = list(reversed(shards)), dict[str, Shard]()
+    waiting, by_key, suspects = list(reversed(shards)), dict[str, Shard](), list[Shard]()
     flying = as_completed([])
 
     def hand_out() -> None:
@@ -73,13 +73,15 @@ def _completed(client: Any, campaign: Campaign, shards: list[Shard]) -> Iterator
     for task in flying:
         shard = by_key.pop(task.key)
         try:
-            content = task.result()
+            yield shard, task.result()
         except KilledWorker:
-            # Several workers died of it: run by run, the poison one alone is lost.
-            content = _run_by_run(client, campaign, shard)
+            # Several workers died of it, or of another that was beside it each time.
+            suspects.append(shard)
         task.release()
-        yield shard, content
         hand_out()
+    # Run by run and with nothing beside it, the poison one alone is lost.
+    for shard in suspects:
+        yield shard, _run_by_run(client, campaign, shard)
 
 
 def _run_by_run(client: Any, campaign: Campaign, shard: Shard) -> bytes:

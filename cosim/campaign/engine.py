@@ -114,16 +114,17 @@ def rows_of(content: bytes) -> list[dict[str, Any]]:
 
 def _pool(workers: int) -> ProcessPoolExecutor:
     # Spawned, not forked: this process may have threads, and a fork of those deadlocks.
-    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_quiet)
+    spawn = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(workers, mp_context=spawn, initializer=_quiet, initargs=(os.getpid(),))
 
 
-def _quiet() -> None:
+def _quiet(parent: int) -> None:
     """In a worker: one thread, since there is a worker for each core; Ctrl-C is for the main process, and
-    with that process the worker ends."""
+    with that process, whose number is ``parent``, the worker ends."""
     import numba
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_outlive_nobody, args=(os.getppid(),), daemon=True).start()
+    threading.Thread(target=_outlive_nobody, args=(parent,), daemon=True).start()
     numba.set_num_threads(1)
 
 
