@@ -25,6 +25,7 @@ from ..sins.imu import ImuErrors
 from ..sins.units import MILLISECOND
 from .estimate import Array, Estimate
 from .filters import align
+from .inputs import AlignmentInput
 from .settings import DelayModel, FilterSettings
 from .smoother import smooth
 
@@ -60,16 +61,19 @@ def bound(
     fixes : the fixes as sent, with their covariances and times.
     antenna_at : true lla (k, 3) and v_n (k, 3) of the antenna at times (k,) of the record.
     knowledge : what the estimator has of the fixes.
-    settings, imu, gravity : as for `filters.align`.
+    settings, imu, gravity : as in `AlignmentInput`.
     """
+
+    def given(exact: Fixes, told: FilterSettings) -> AlignmentInput:
+        return AlignmentInput.checked(time, dtheta_b, dv_b, q_nb, exact, told, imu, gravity)
+
     coarse_known = settings.model_copy(update={"coarse_stage": "none"})
-    record = (time, dtheta_b, dv_b, q_nb)
     if knowledge is not Knowledge.DELAY_UNKNOWN:
         lla, v_n = antenna_at(fixes.t_valid)
         exact = replace(fixes, lla=lla, v_n=v_n, t_stamp=fixes.t_valid, t_arrival=fixes.t_valid)
         if knowledge is Knowledge.SMOOTHED:
-            return smooth(*record, exact, coarse_known, imu, gravity, relinearized=False)
-        return align(*record, exact, DelayModel.STAMPED, coarse_known, imu, gravity)
+            return smooth(given(exact, coarse_known), relinearized=False)
+        return align(given(exact, coarse_known), DelayModel.STAMPED)
     delay = fixes.t_arrival - fixes.t_valid
     mean, sd = (float(np.mean(delay)), float(np.std(delay))) if len(delay) else (0.0, 0.0)
     lla, v_n = antenna_at(np.clip(fixes.t_arrival - mean, time[0], time[-1]))
@@ -77,4 +81,4 @@ def bound(
         update={"delay_mean_ms": mean / MILLISECOND, "delay_sd_ms": sd / MILLISECOND}
     )
     exact = replace(fixes, lla=lla, v_n=v_n)
-    return align(*record, exact, DelayModel.ESTIMATED, known, imu, gravity)
+    return align(given(exact, known), DelayModel.ESTIMATED)

@@ -21,14 +21,10 @@ References
 .. [3] I. Arasaratnam, S. Haykin, "Cubature Kalman Filters", IEEE Transactions on Automatic Control 54 (2009).
 """
 
-from numpy.typing import ArrayLike
-
-from ..network.fixes import Fixes
-from ..sins.earth import GravityModel
-from ..sins.imu import ImuErrors
 from .estimate import Estimate
+from .inputs import AlignmentInput
 from .problem import pose, run, to_the_end
-from .settings import DelayModel, FilterSettings, Transform
+from .settings import DelayModel, Transform
 
 FILTERS = {"ekf": DelayModel.IGNORED, "ekf_stamped": DelayModel.STAMPED, "l2linf": DelayModel.ESTIMATED}
 """Error-state filters by derivatives."""
@@ -40,40 +36,18 @@ CUBATURE_FILTERS = {
 """The same by cubature points."""
 
 
-def align(
-    time: ArrayLike,
-    dtheta_b: ArrayLike,
-    dv_b: ArrayLike,
-    q_nb_coarse: ArrayLike,
-    fixes: Fixes,
-    delay: DelayModel,
-    settings: FilterSettings,
-    imu: ImuErrors,
-    gravity: GravityModel,
-    transform: Transform = Transform.DERIVATIVES,
-) -> Estimate:
+def align(given: AlignmentInput, delay: DelayModel, transform: Transform = Transform.DERIVATIVES) -> Estimate:
     """Align over one record, as it would happen: a fix counts from its arrival on.
 
-    Parameters
-    ----------
-    time : (n,) s. dtheta_b, dv_b : (n, 3) rad and m/s over the interval that ends at ``time``.
-    q_nb_coarse : (4,) attitude at ``time[0]``, wrong by the initial misalignment.
-    fixes : in any order; taken by arrival. The first one starts position and velocity; after
-        ``restart_after_gated`` refused ones in a row the next one does so again, with the attitude of then
-        and the uncertainty of the start.
-    delay : how to treat delays. imu : error budget that the filter is told. gravity : model to navigate with.
-    transform : how covariances are carried.
+    ``delay`` : how to treat delays. ``transform`` : how covariances are carried.
 
-    Returns
-    -------
-    Estimate at ``output_rate_hz`` and at the end. Samples and fixes that are broken never enter the state:
-    such a sample is replaced, at a cost to the covariance (`increments`), such a fix is left out; both are
-    counted.
+    The first fix starts position and velocity; after ``restart_after_gated`` refused ones in a row the next
+    one does so again, with the attitude of then and the uncertainty of the start.
 
-    Raises ValueError for arrays that do not make up a record (`increments.restored`) or an attitude that is
-    no unit quaternion.
+    Returns the estimate at ``output_rate_hz`` and at the end. Samples and fixes that are broken never enter
+    the state; both are counted.
     """
-    problem = pose(time, dtheta_b, dv_b, q_nb_coarse, fixes, delay, settings, imu, gravity)
-    horizon = round(settings.horizon_s / problem.dt)
+    problem = pose(given, delay)
+    horizon = round(given.settings.horizon_s / problem.dt)
     kept = horizon + 1 if delay is DelayModel.STAMPED else 1
     return to_the_end(problem, run(problem, horizon, kept, transform)[0])

@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..sins.imu import ImuErrors
 from ..sins.mechanization import checked_shapes
 from ..sins.units import ARCSEC, DEG_PER_SQRT_HOUR, MICRO_G_PER_SQRT_HZ
+from ._increments_kernel import count_repeats
 from .estimate import Array, SampleOutcome
 
 Mask = NDArray[np.bool_]
@@ -84,11 +85,11 @@ def restored(
     time, dtheta_b, dv_b = checked_shapes(time, dtheta_b, dv_b)
     increments = np.hstack([dtheta_b, dv_b])
     time, increments, dt, reason, refused = _in_time(time, increments)
-    impossible = ~_possible(increments, dt)
-    if impossible.any():
-        reason[(reason == 0) & impossible] = SampleOutcome.NOT_FINITE
-    if imu is not None:
-        _repeated(increments, dt, imu, reason)
+    most, again = dt * np.repeat(BEYOND, 3), np.zeros(6, np.int64)
+    if not count_repeats(increments, most, APART, again):
+        reason[(reason == 0) & ~(np.abs(increments) <= most)] = SampleOutcome.NOT_FINITE
+    if imu is not None and again.max() >= LEAST_REPEATS:
+        _repeated(increments, dt, imu, again, reason)
     increments[0], reason[0] = 0.0, 0  # it has no interval
     variance = np.zeros((len(time), 2))
     if not reason.any():
@@ -170,23 +171,14 @@ def _moving_on(time: Array, dt: float) -> Mask:
         last = next_good
 
 
-def _possible(increments: Array, dt: float) -> Mask:
-    """(n, 6) which are numbers, and measurements."""
-    return np.abs(increments) <= dt * np.repeat(BEYOND, 3)
-
-
-def _repeated(increments: Array, dt: float, imu: ImuErrors, reason: NDArray[np.int8]) -> None:
-    """Mark stuck and saturated samples in ``reason``, (n, 6)."""
+def _repeated(
+    increments: Array, dt: float, imu: ImuErrors, again: NDArray[np.int64], reason: NDArray[np.int8]
+) -> None:
+    """Mark stuck and saturated samples in ``reason``, (n, 6), of axes with repeats, ``again``, (6,)."""
     gyro = imu.gyro_arw_deg_sqrt_h * DEG_PER_SQRT_HOUR * math.sqrt(dt)
     accel = imu.accel_vrw_ug_sqrt_hz * MICRO_G_PER_SQRT_HZ * math.sqrt(dt)
     sigma = np.repeat([gyro, math.hypot(accel, math.sqrt(2) * imu.vibration_mps)], 3)
     quantum = np.repeat([imu.gyro_quantum_arcsec * ARCSEC, imu.accel_quantum_mps], 3)
-    axes = np.ascontiguousarray(increments[1:].T)  # reductions along an axis are ten times as fast so
-    again = np.maximum(*((axes == end[:, None]).sum(axis=1) for end in (axes.max(axis=1), axes.min(axis=1))))
-    for lag in range(1, APART + 1):
-        same = axes[:, lag:] == axes[:, :-lag]
-        if same.any():
-            again += same.sum(axis=1)
     for column in np.flatnonzero((again >= LEAST_REPEATS) & (sigma > 0)):
         rows = np.flatnonzero(reason[:, column] == 0)[1:]
         told = np.zeros(len(rows), np.int8)

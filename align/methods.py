@@ -1,25 +1,21 @@
 """Alignment methods by name: what a scenario can ask for.
 
-A method takes a record from a coarse attitude, or from none, to an `Estimate`.
+A method takes an `AlignmentInput` to an `Estimate`.
 """
 
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ..network.fixes import Fixes
-from ..sins.earth import GravityModel
-from ..sins.imu import ImuErrors
 from .coarse import align_in_motion
-from .estimate import HISTORIES, Array, Estimate, NavStatus, RunOutcome
+from .estimate import HISTORIES, Estimate, NavStatus, RunOutcome
 from .filters import CUBATURE_FILTERS, FILTERS, align
+from .inputs import AlignmentInput
 from .problem import pose, to_the_end, unaligned
-from .settings import DelayModel, FilterSettings, Transform
+from .settings import DelayModel, Transform
 from .smoother import smooth
 
 
@@ -28,8 +24,7 @@ class Method:
     """One way to align."""
 
     about: str
-    run: Callable[..., Estimate]
-    """Of time, dtheta_b, dv_b, q_nb_coarse, fixes, settings, imu, gravity, as `filters.align` has them."""
+    run: Callable[[AlignmentInput], Estimate]
     delay: DelayModel
     """How it treats delays."""
     in_flight: bool = True
@@ -41,43 +36,27 @@ _DESIGNING = threading.Lock()
 """A design is kept: the first of many runs makes it, and the others wait for it."""
 
 
-def _filter(delay: DelayModel, transform: Transform = Transform.DERIVATIVES) -> Callable[..., Estimate]:
-    def run(*record: Any) -> Estimate:
-        *measured, settings, imu, gravity = record
-        return align(*measured, delay=delay, settings=settings, imu=imu, gravity=gravity, transform=transform)
-
-    return run
-
-
-def _designed(
-    time: ArrayLike,
-    dtheta_b: ArrayLike,
-    dv_b: ArrayLike,
-    q_nb: ArrayLike,
-    fixes: Fixes,
-    settings: FilterSettings,
-    imu: ImuErrors,
-    gravity: GravityModel,
-    scheduled: bool,
-) -> Estimate:
+def _designed(given: AlignmentInput, scheduled: bool) -> Estimate:
     from .lmi.alignment import align_lmi, gain_schedule  # cvxpy takes a second to import
     from .lmi.task import sins_plant_settings, steepest_side_mps2
 
-    side = steepest_side_mps2(time, dv_b) if scheduled else None
+    record = given.record
+    side = steepest_side_mps2(record.time, record.increments[:, 3:]) if scheduled else None
+    fixes = given.received.fixes
     with _DESIGNING:
-        schedule = gain_schedule(sins_plant_settings(fixes, settings, imu, side or 0.0), side)
-    return align_lmi(time, dtheta_b, dv_b, q_nb, fixes, schedule, settings, gravity)
+        schedule = gain_schedule(sins_plant_settings(fixes, given.settings, given.imu, side or 0.0), side)
+    return align_lmi(given, schedule)
 
 
-def _ekf_ten(*record: Any) -> Estimate:
+def _ekf_ten(given: AlignmentInput) -> Estimate:
     from .lmi.alignment import ekf_ten
 
-    return ekf_ten(*record)
+    return ekf_ten(given)
 
 
 METHODS = {
     **{
-        name: Method(f"error-state filter, delay {delay.name.lower()}", _filter(delay), delay)
+        name: Method(f"error-state filter, delay {delay.name.lower()}", partial(align, delay=delay), delay)
         for name, delay in FILTERS.items()
     },
     "smoother": Method(
@@ -97,7 +76,7 @@ METHODS = {
     **{
         name: Method(
             f"error-state filter by {_POINTS[transform]}, delay {delay.name.lower()}",
-            _filter(delay, transform),
+            partial(align, delay=delay, transform=transform),
             delay,
         )
         for name, (delay, transform) in CUBATURE_FILTERS.items()
@@ -106,18 +85,8 @@ METHODS = {
 """Methods that a scenario can name."""
 
 
-def estimate(
-    name: str,
-    time: ArrayLike,
-    dtheta_b: ArrayLike,
-    dv_b: ArrayLike,
-    q_nb_coarse: Array,
-    fixes: Fixes,
-    settings: FilterSettings,
-    imu: ImuErrors,
-    gravity: GravityModel,
-) -> Estimate:
-    """Align over one record by the method of that name; parameters and errors are those of `filters.align`.
+def estimate(name: str, given: AlignmentInput) -> Estimate:
+    """Align over one record by the method of that name.
 
     With ``settings.coarse_stage`` "in_motion" the coarse attitude is not looked at: it is found from the
     record first. A filter then runs from the start of the record, as a navigator does that has kept it; what
@@ -125,14 +94,13 @@ def estimate(
     afterwards.
     """
     method = METHODS[name]
-    record = (time, dtheta_b, dv_b, q_nb_coarse, fixes)
-    if settings.coarse_stage == "none":
-        return method.run(*record, settings, imu, gravity)
-    problem = pose(*record, method.delay, settings, imu, gravity)
+    if given.settings.coarse_stage == "none":
+        return method.run(given)
+    problem = pose(given, method.delay)
     found = align_in_motion(problem)
     if found is None:
         return to_the_end(problem, unaligned(problem, RunOutcome.NO_COARSE))
-    fine = method.run(*record[:3], found.q_nb, fixes, settings, imu, gravity)
+    fine = method.run(replace(given, q_nb_coarse=found.q_nb))
     return _known_from(fine, found.time) if method.in_flight else fine
 
 

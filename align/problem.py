@@ -1,27 +1,23 @@
-"""An alignment as the compiled loops take it: a record, fixes and settings, checked; and its run."""
+"""An alignment as the compiled loops take it, with one way to treat delays; and its run."""
 
 from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ..network.fixes import Fixes
-from ..sins.earth import GravityModel
-from ..sins.imu import ImuErrors
 from ..sins.units import MILLISECOND
 from . import _alignment_kernel, _cubature_kernel, _memory
 from .consistency import chi_square_quantile
 from .estimate import HISTORIES, Array, Estimate, NavStatus, RunOutcome, SampleOutcome
-from .increments import restored
+from .inputs import AlignmentInput
 from .measurement import N_STATES
-from .reception import Integers, Reception, received
-from .settings import DelayModel, FilterSettings, Transform, initial_sd, noise_density
+from .reception import Integers, Reception, counted_from
+from .settings import DelayModel, Transform, initial_sd, noise_density
 
 
 class Problem(NamedTuple):
-    """A record and fixes, checked, and what the compiled loops take of the settings."""
+    """A record and fixes, and what the compiled loops take of the settings."""
 
     time: Array
     increments: Array
@@ -55,58 +51,41 @@ class Problem(NamedTuple):
         return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
 
 
-def pose(
-    time: ArrayLike,
-    dtheta_b: ArrayLike,
-    dv_b: ArrayLike,
-    q_nb_coarse: ArrayLike,
-    fixes: Fixes,
-    delay: DelayModel,
-    settings: FilterSettings,
-    imu: ImuErrors,
-    gravity: GravityModel,
-) -> Problem:
-    """Check what `align` is given; parameters and errors are those of `filters.align`."""
-    record = restored(time, dtheta_b, dv_b, imu, settings.imu_patience_s)
-    q_nb_coarse = np.array(q_nb_coarse, float)
-    if q_nb_coarse.shape != (4,) or not abs(np.linalg.norm(q_nb_coarse) - 1) < 1e-6:
-        raise ValueError(f"q_nb_coarse must be a unit quaternion, not {q_nb_coarse}")
-    n = len(record.time)
-    time = record.time[: record.end]
-    dt = (time[-1] - time[0]) / (record.end - 1)
+def pose(given: AlignmentInput, delay: DelayModel) -> Problem:
+    """The problem of a filter that treats delays so; its arrays are those of ``given``, but for `outcome`."""
+    record, settings = given.record, given.settings
+    time, dt = record.time[: record.end], given.dt
     stamped, estimated = delay is DelayModel.STAMPED, delay is DelayModel.ESTIMATED
     delay_sd_ms = settings.stamp_sd_ms * stamped + settings.delay_sd_ms * estimated
-    outcome, reception = received(
-        time, fixes.sorted_by_arrival(), stamped, settings.stamp_sd_ms * MILLISECOND
-    )
-    every = max(1, round(1 / (settings.output_rate_hz * dt)))
-    output_epoch = np.unique(np.append(np.arange(every, n, every), n - 1))
-    initial = np.zeros(10)
-    initial[6] = settings.delay_mean_ms * MILLISECOND if estimated else 0.0
-    initial[7:] = settings.lever_arm_b_m
-    sd = initial_sd(settings, imu, delay)
+    outcome, reception = counted_from(time, given.received, stamped, settings.stamp_sd_ms * MILLISECOND)
+    before, after = given.output_epochs
+    delay_mean_ms = settings.delay_mean_ms if estimated else 0.0
+    initial = np.array([0.0] * 6 + [delay_mean_ms * MILLISECOND, *settings.lever_arm_b_m])
+    sd = initial_sd(settings, given.imu, delay)
+    density = np.zeros(len(sd))
+    density[:N_STATES] = noise_density(given.imu)
     return Problem(
         time=time,
         increments=record.increments[: record.end],
         gap_variance=record.gap_variance[: record.end],
-        q_nb_coarse=q_nb_coarse,
+        q_nb_coarse=given.q_nb_coarse,
         reception=reception,
         outcome=outcome,
         delay=delay,
         delay_sd=delay_sd_ms * MILLISECOND,
         initial=initial,
         initial_sd=sd,
-        noise_density=np.pad(noise_density(imu), (0, len(sd) - N_STATES)),
-        vibration_variance=imu.vibration_mps**2,
+        noise_density=density,
+        vibration_variance=given.imu.vibration_mps**2,
         gate=_gate(settings.gate_probability),
         patience=settings.restart_after_gated,
         dead_reckoning_after=settings.dead_reckoning_after_s,
         samples=max(1, round(settings.acceleration_window_s / dt)),
-        gravity=int(gravity),
-        output_epoch=output_epoch[output_epoch < record.end],
+        gravity=int(given.gravity),
+        output_epoch=before,
         held=record.held,
         imu_samples=record.counts,
-        lost=record.time[output_epoch[output_epoch >= record.end]],
+        lost=record.time[after],
     )
 
 

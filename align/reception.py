@@ -34,46 +34,66 @@ class Reception(NamedTuple):
     """(k,) as sent."""
 
 
-def received(time: Array, fixes: Fixes, by_stamp: bool, stamp_sd: float) -> tuple[Integers, Reception]:
-    """Outcome so far, (k,), of fixes in order of arrival, and what is to be known of them.
+class Received(NamedTuple):
+    """Fixes in order of arrival, and what is to be known of them however a filter treats their delays."""
 
-    Parameters: ``time`` (n,) s, of the record; ``by_stamp``, whether a fix counts from its stamp, of standard
-    deviation ``stamp_sd`` s, or from its arrival. A fix that must not be used has the reason for its
-    outcome, the others are PENDING.
-    """
+    fixes: Fixes
+    outcome: Integers
+    """(k,) NOT_FINITE, INVALID or UNAUTHENTIC for fixes that nobody must use, PENDING for the others."""
+    arrival_epoch: Integers
+    packet: Integers
+    source: Integers
+
+
+def received(time: Array, fixes: Fixes) -> Received:
+    """Fixes, in any order, that are to be taken with the record of epochs ``time``, (n,) s."""
+    fixes = fixes.sorted_by_arrival()
     k = len(fixes)
-    dt = (time[-1] - time[0]) / (len(time) - 1)
-    reference = fixes.t_stamp if by_stamp else fixes.t_arrival
     outcome = np.full(k, FixOutcome.PENDING, dtype=np.int64)
-    outcome[reference < time[0]] = FixOutcome.LATE
-    if by_stamp:
-        outcome[fixes.t_stamp > fixes.t_arrival + dt + 5 * stamp_sd] = FixOutcome.FUTURE
+    outcome[~_are_covariances(fixes.cov) | (np.abs(fixes.lla[:, 0]) > np.pi / 2)] = FixOutcome.INVALID
     for values in (fixes.lla, fixes.v_n, fixes.cov):
         finite = np.isfinite(values)
         if not finite.all():
             outcome[~finite.reshape(k, -1).all(axis=1)] = FixOutcome.NOT_FINITE
-    invalid = ~_are_covariances(fixes.cov) | (np.abs(fixes.lla[:, 0]) > np.pi / 2)
-    outcome[(outcome == FixOutcome.PENDING) & invalid] = FixOutcome.INVALID
     outcome[~fixes.authentic] = FixOutcome.UNAUTHENTIC
-    arrival_epoch = np.searchsorted(time, fixes.t_arrival)
-    reference_epoch = np.minimum(np.searchsorted(time, reference), arrival_epoch)
     source, packet = _numbered(fixes)
+    return Received(fixes, outcome, np.searchsorted(time, fixes.t_arrival), packet, source)
+
+
+def counted_from(time: Array, found: Received, by_stamp: bool, stamp_sd: float) -> tuple[Integers, Reception]:
+    """Outcome so far, (k,), of fixes whose age counts from their stamp, of standard deviation ``stamp_sd`` s,
+    or from their arrival; and the fixes as the compiled loops take them.
+
+    A fix that must not be used has the reason for its outcome, the others are PENDING.
+    """
+    fixes = found.fixes
+    dt = (time[-1] - time[0]) / (len(time) - 1)
+    reference = fixes.t_stamp if by_stamp else fixes.t_arrival
+    outcome = found.outcome.copy()
+    whole = (outcome == FixOutcome.PENDING) | (outcome == FixOutcome.INVALID)
+    outcome[whole & (reference < time[0])] = FixOutcome.LATE
+    if by_stamp:
+        early = fixes.t_stamp > fixes.t_arrival + dt + 5 * stamp_sd
+        outcome[whole & early] = FixOutcome.FUTURE
+    reference_epoch = found.arrival_epoch
+    if by_stamp:
+        reference_epoch = np.minimum(np.searchsorted(time, reference), reference_epoch)
     return outcome, Reception(
-        fixes.lla,
-        fixes.v_n,
-        fixes.cov,
-        reference,
-        arrival_epoch,
-        reference_epoch,
-        packet,
-        source,
-        fixes.sequence,
+        lla=fixes.lla,
+        v_n=fixes.v_n,
+        cov=fixes.cov,
+        t_reference=reference,
+        arrival_epoch=found.arrival_epoch,
+        reference_epoch=reference_epoch,
+        packet=found.packet,
+        source=found.source,
+        sequence=fixes.sequence,
     )
 
 
 def _are_covariances(cov: Array) -> NDArray[np.bool_]:
     """Which of the matrices, (k, 6, 6), are symmetric and positive definite."""
-    if len(cov) > 1 and np.array_equal(cov, np.broadcast_to(cov[0], cov.shape)):
+    if len(cov) > 1 and (cov == cov[0]).all():
         # The usual case: one noise for all fixes.
         return np.repeat(_are_covariances(cov[:1]), len(cov))
     finite = np.isfinite(cov.reshape(len(cov), 36)).all(axis=1)

@@ -16,35 +16,22 @@ References
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ..network.fixes import Fixes
 from ..sins import attitude
-from ..sins.earth import GravityModel
 from ..sins.error_model import MISALIGN
-from ..sins.imu import ImuErrors
 from . import _memory, _smoothing_kernel
 from .estimate import Array, Estimate, FixOutcome, RunOutcome
+from .inputs import AlignmentInput
 from .problem import Problem, pose, run, state_columns, to_the_end
 from .reception import Integers, Reception
-from .settings import DelayModel, FilterSettings
+from .settings import DelayModel
 
 WEIGHTLESS = 30.0
 """So many times the standard deviation that a record gives leave what is known before a weight of 0.1 %."""
 
 
-def smooth(
-    time: ArrayLike,
-    dtheta_b: ArrayLike,
-    dv_b: ArrayLike,
-    q_nb_coarse: ArrayLike,
-    fixes: Fixes,
-    settings: FilterSettings,
-    imu: ImuErrors,
-    gravity: GravityModel,
-    relinearized: bool = True,
-) -> Estimate:
-    """Smooth over one record. Parameters and errors are those of `filters.align`; stamps are trusted.
+def smooth(given: AlignmentInput, relinearized: bool = True) -> Estimate:
+    """Smooth over one record; stamps are trusted.
 
     Returns the smoothed states with their covariance; innovations, NIS and outcomes are those of the filter
     that went forward, to which no fix of the record comes too late. A restart of the filter divides the
@@ -52,7 +39,7 @@ def smooth(
 
     ``relinearized``: whether to go twice, which a record that begins with the true attitude has no need of.
     """
-    problem = pose(time, dtheta_b, dv_b, q_nb_coarse, fixes, DelayModel.STAMPED, settings, imu, gravity)
+    problem = pose(given, DelayModel.STAMPED)
     return to_the_end(problem, _both_ways(problem, relinearized))
 
 

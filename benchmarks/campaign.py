@@ -14,6 +14,7 @@ import psutil
 from fleetalign.aircraft.cache import cached_flight
 from fleetalign.align import problem
 from fleetalign.align.filters import FILTERS
+from fleetalign.align.inputs import AlignmentInput
 from fleetalign.align.settings import DelayModel
 from fleetalign.cosim.campaign import engine
 from fleetalign.cosim.campaign.cluster import on_cluster
@@ -189,10 +190,9 @@ def _kernel_seconds(scenario: Scenario, runs: int) -> float:
     settings, gravity = scenario.alignment.settings, scenario.alignment.gravity_model(window.gravity)
     posed = []
     for run in (simulate(scenario, flight, i, SEED) for i in range(min(runs, _PREPARED))):
-        record = run.imu.time, run.imu.dtheta_b, run.imu.dv_b, run.q_nb_coarse, run.fixes
-        posed.append(
-            [problem.pose(*record, FILTERS[name], settings, scenario.imu, gravity) for name in FILTERS]
-        )
+        measured = run.imu.time, run.imu.dtheta_b, run.imu.dv_b, run.q_nb_coarse, run.fixes
+        given = AlignmentInput.checked(*measured, settings, scenario.imu, gravity)
+        posed.append([problem.pose(given, FILTERS[name]) for name in scenario.alignment.filters])
     horizon = round(settings.horizon_s / window.dt)
     seconds = 0.0
     for i in range(runs):

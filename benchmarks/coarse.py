@@ -8,6 +8,7 @@ import numpy as np
 from fleetalign.aircraft.flight import Flight
 from fleetalign.align.coarse import CoarseAttitude, align_in_motion
 from fleetalign.align.estimate import Estimate
+from fleetalign.align.inputs import AlignmentInput
 from fleetalign.align.methods import estimate
 from fleetalign.align.problem import pose
 from fleetalign.align.settings import DelayModel
@@ -111,21 +112,17 @@ def of_runs(window: Flight, aligned: Aligned) -> Array:
     return np.array([errors_against(window, Aligned(aligned.time, *run)) for run in columns])
 
 
-def _record(run: Run) -> tuple[Any, ...]:
-    return run.imu.time, run.imu.dtheta_b, run.imu.dv_b, run.q_nb_coarse, run.fixes
-
-
-def _budget(scenario: Scenario, window: Flight) -> tuple[Any, ...]:
-    return scenario.alignment.settings, scenario.imu, window.gravity
+def _given(run: Run, scenario: Scenario, window: Flight) -> AlignmentInput:
+    measured = run.imu.time, run.imu.dtheta_b, run.imu.dv_b, run.q_nb_coarse, run.fixes
+    return AlignmentInput.checked(*measured, scenario.alignment.settings, scenario.imu, window.gravity)
 
 
 def _two_stages(scenario: Scenario, window: Flight, runs: list[Run]) -> list[Estimate]:
-    return [estimate("ekf_stamped", *_record(run), *_budget(scenario, window)) for run in runs]
+    return [estimate("ekf_stamped", _given(run, scenario, window)) for run in runs]
 
 
 def _coarse_stages(scenario: Scenario, window: Flight, runs: list[Run]) -> list[CoarseAttitude | None]:
-    budget = _budget(scenario, window)
-    return [align_in_motion(pose(*_record(run), DelayModel.STAMPED, *budget)) for run in runs]
+    return [align_in_motion(pose(_given(run, scenario, window), DelayModel.STAMPED)) for run in runs]
 
 
 def _told(since: Array, errors: Array, limit: Array, cpu_ms: float) -> str:

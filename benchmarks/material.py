@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from fleetalign.aircraft.cache import cached_flight
 from fleetalign.aircraft.flight import Flight
-from fleetalign.align.filters import FILTERS
 from fleetalign.cosim.run import Run, alignment_window, simulate
 from fleetalign.cosim.scenario import Scenario, load_scenario, replaced
 from fleetalign.sins.mechanization import NavigationState
@@ -25,8 +24,9 @@ class Material:
     window: Flight
     run: Run
 
-    def alignment(self, filter_name: str) -> tuple[Any, ...]:
-        """Arguments of `align.filters.align` for the run and a filter."""
+    @property
+    def measured(self) -> tuple[Any, ...]:
+        """Arguments of `AlignmentInput.checked` for the run."""
         run, scenario = self.run, self.scenario
         return (
             run.imu.time,
@@ -34,7 +34,6 @@ class Material:
             run.imu.dv_b,
             run.q_nb_coarse,
             run.fixes,
-            FILTERS[filter_name],
             scenario.alignment.settings,
             scenario.imu,
             scenario.alignment.gravity_model(self.window.gravity),

@@ -45,17 +45,17 @@ class Belief:
 
 @dataclass(frozen=True)
 class NumpyFilter:
-    """One record and what the filter is told; parameters as `align.filters.align`."""
+    """One record and what the filter is told; parameters as those of `AlignmentInput.checked`."""
 
     time: Array
     dtheta_b: Array
     dv_b: Array
     q_nb_coarse: Array
     fixes: Fixes
-    delay: DelayModel
     settings: FilterSettings
     imu: ImuErrors
     gravity: GravityModel
+    delay: DelayModel
 
     @cached_property
     def _noise_density(self) -> Array:

@@ -11,12 +11,13 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from fleetalign.align.filters import align
+from fleetalign.align.filters import FILTERS
 from fleetalign.align.settings import DelayModel, initial_sd, noise_density
 from fleetalign.sins import attitude, earth
 from fleetalign.sins.error_model import transition_matrix
 from fleetalign.sins.mechanization import NavigationState, mechanize
 
+from .filters import aligned
 from .harness import Harness, Row, package_version
 from .material import Material
 
@@ -38,7 +39,7 @@ def rows(harness: Harness, material: Material) -> list[Row]:
     """One row for each peer; those not installed are named."""
     ours = {
         "mechanisation": _mechanization(material),
-        "filter `ekf`": partial(align, *material.alignment("ekf")),
+        "filter `ekf`": partial(aligned, material, FILTERS["ekf"]),
     }
     samples = len(material.run.imu.time) - 1
     found = []

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..align.estimate import Array, Estimate
+from ..align.inputs import AlignmentInput
 from ..align.methods import METHODS, estimate
 from ..align.settings import DelayModel, FilterSettings
 from ..network.fixes import Fixes
@@ -71,15 +72,16 @@ def replay(
         checks["heading_minus_course_deg"] = offset / DEG
     progress(1, steps)
     estimates, innovation_sd = {}, {}
+    given, kept = _given(imu, fixes, settings)
     for done, name in enumerate(settings.alignment.filters, start=2):
-        estimates[name], innovation_sd[name] = _aligned(name, imu, fixes, settings)
+        estimates[name], innovation_sd[name] = _aligned(name, given, kept, fixes, settings)
         progress(done, steps)
     files = imu_file, fixes_file
     return Replay(files, settings, imu, fixes, fix_base, checks, estimates, innovation_sd)
 
 
-def _aligned(name: str, imu: RecordedImu, fixes: Fixes, settings: ReplayMap) -> tuple[Estimate, Array]:
-    """Estimate at the output rate, and standard deviations of its innovations, (k, 6)."""
+def _given(imu: RecordedImu, fixes: Fixes, settings: ReplayMap) -> tuple[AlignmentInput, int]:
+    """What all filters are given; they put out finer than asked, and of so many rows one is to be kept."""
     filter_settings, dt = settings.settings, imu.base.interval_s
     # A history of every sample tells what a fix met; a thinner one is kept.
     wanted = max(1, round(1 / (filter_settings.output_rate_hz * dt)))
@@ -88,8 +90,7 @@ def _aligned(name: str, imu: RecordedImu, fixes: Fixes, settings: ReplayMap) -> 
     every = finer if kept > 1 else wanted
     rate = min(1 / (every * dt), _MOST_HZ)
     euler = np.zeros(3) if settings.euler is None else settings.euler
-    history = estimate(
-        name,
+    given = AlignmentInput.checked(
         imu.time,
         imu.dtheta_b,
         imu.dv_b,
@@ -99,11 +100,18 @@ def _aligned(name: str, imu: RecordedImu, fixes: Fixes, settings: ReplayMap) -> 
         settings.imu,
         settings.gravity_model,
     )
-    method = METHODS[name]
+    return given, kept
+
+
+def _aligned(
+    name: str, given: AlignmentInput, kept: int, fixes: Fixes, settings: ReplayMap
+) -> tuple[Estimate, Array]:
+    """Estimate at the output rate, and standard deviations of its innovations, (k, 6)."""
+    history, method = estimate(name, given), METHODS[name]
     if not method.in_flight:
         # What a smoother is sure of is not what its filter was, when the fix came.
         return _thinned(history, kept), np.full((len(fixes), 6), np.nan)
-    sd = _innovation_sd(history, fixes, method.delay, filter_settings, settings.imu.vibration_mps)
+    sd = _innovation_sd(history, fixes, method.delay, settings.settings, settings.imu.vibration_mps)
     return _thinned(history, kept), sd
 
 

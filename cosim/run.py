@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..aircraft.flight import Flight
 from ..align.bridging.outage import bridged
 from ..align.estimate import Array, Estimate
+from ..align.inputs import AlignmentInput
 from ..align.methods import METHODS, estimate
 from ..align.settings import FilterSettings
 from ..network import packet_faults
@@ -51,8 +52,12 @@ class Run:
 
 def generator(seed: int, run_id: int, source: str) -> np.random.Generator:
     """The random numbers of one source in one run: they depend on these three alone."""
-    name = zlib.crc32(source.encode())
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(run_id, name)))
+    return np.random.default_rng(seed_of(seed, run_id, source))
+
+
+def seed_of(seed: int, run_id: int, source: str) -> np.random.SeedSequence:
+    """What `generator` begins with."""
+    return np.random.SeedSequence(seed, spawn_key=(run_id, zlib.crc32(source.encode())))
 
 
 def alignment_window(scenario: Scenario, flight: Flight) -> Flight:
@@ -75,9 +80,7 @@ def alignment_window(scenario: Scenario, flight: Flight) -> Flight:
 def simulate(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> Run:
     """One run over the alignment window of a flight."""
     window = alignment_window(scenario, flight)
-    imu = simulate_imu(
-        window.time, window.dtheta_b, window.dv_b, scenario.imu, generator(seed, run_id, "imu")
-    )
+    imu = simulate_imu(window.time, window.dtheta_b, window.dv_b, scenario.imu, seed_of(seed, run_id, "imu"))
     imu = imu_faults.faulty(imu, scenario.faults.imu)
     fixes, network = fixes_of(scenario, flight, run_id, seed)
     rng = generator(seed, run_id, "coarse attitude")
@@ -86,23 +89,17 @@ def simulate(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> Run:
     outages = outage_times(scenario, window)
     estimates: dict[str, Estimate] = {}
     bridging = scenario.alignment.bridging
+    measured = imu.time, imu.dtheta_b, imu.dv_b, q_nb_coarse, fixes
+    given = AlignmentInput.checked(*measured, scenario.alignment.settings, scenario.imu, gravity)
     for name in scenario.alignment.filters:
-        found = estimate(
-            name,
-            imu.time,
-            imu.dtheta_b,
-            imu.dv_b,
-            q_nb_coarse,
-            fixes,
-            scenario.alignment.settings,
-            scenario.imu,
-            gravity,
-        )
+        found = estimate(name, given)
         if METHODS[name].in_flight:  # what knows the whole record has nothing to bridge
-            found = bridged(found, imu.time, imu.dtheta_b, imu.dv_b, gravity, outages, bridging, scenario.imu)
+            found = bridged(found, given.record, gravity, outages, bridging)
         estimates[name] = found
-    rng = generator(seed, run_id, "packet faults")
-    outlier = packet_faults.outliers(fixes, scenario.faults.packets, rng)
+    outlier = None
+    if scenario.faults.packets.at_work:
+        rng = generator(seed, run_id, "packet faults")
+        outlier = packet_faults.outliers(fixes, scenario.faults.packets, rng)
     return Run(run_id, imu, fixes, q_nb_coarse, estimates, network, outlier)
 
 
@@ -120,9 +117,11 @@ def fixes_of(
         path = CentrePath(flight, flight.time[0], flight.time[-1])
         made, network = fly_network(path, start_s, end_s, scenario.fixes, partial(generator, seed, run_id))
     else:
-        made = draw_fixes(window, start_s, end_s, scenario.fixes, generator(seed, run_id, "fixes"))
-    rng = generator(seed, run_id, "packet faults")
-    return packet_faults.faulty(without(made, outages), scenario.faults.packets, rng), network
+        made = draw_fixes(window, start_s, end_s, scenario.fixes, seed_of(seed, run_id, "fixes"))
+    made, faults = without(made, outages), scenario.faults.packets
+    if faults.at_work:
+        made = packet_faults.faulty(made, faults, generator(seed, run_id, "packet faults"))
+    return made, network
 
 
 def outage_times(scenario: Scenario, window: Flight) -> tuple[tuple[float, float], ...]:
@@ -142,8 +141,10 @@ def without(fixes: Fixes, outages: Sequence[tuple[float, float]]) -> Fixes:
 def true_lever_arm(scenario: Scenario, run_id: int, seed: int) -> Array:
     """The true lever arm of one run: the surveyed one and what the survey erred."""
     settings = scenario.alignment.settings
-    rng = generator(seed, run_id, "lever arm")
-    return np.array(settings.lever_arm_b_m) + settings.lever_arm_sd_m * rng.standard_normal(3)
+    arm = np.array(settings.lever_arm_b_m)
+    if settings.lever_arm_sd_m > 0:
+        arm += settings.lever_arm_sd_m * generator(seed, run_id, "lever arm").standard_normal(3)
+    return arm
 
 
 def coarse_attitude(q_nb: Array, coarse: CoarseAttitude, rng: np.random.Generator) -> Array:
@@ -210,18 +211,10 @@ def compile_loops(filters: Sequence[str], network: bool) -> None:
     nothing, none, ids = np.zeros((2, 3)), np.empty(0), np.empty(0, np.int64)
     vectors = np.empty((0, 3))
     fixes = Fixes(none, none, none, vectors, vectors, np.empty((0, 6, 6)), ids, ids)
+    rest = np.arange(2.0), nothing, nothing, np.array([1.0, 0.0, 0.0, 0.0]), fixes
+    given = AlignmentInput.checked(*rest, FilterSettings(), ImuErrors(), GravityModel.J2)
     for name in filters:
-        estimate(
-            name,
-            np.arange(2.0),
-            nothing,
-            nothing,
-            np.array([1.0, 0.0, 0.0, 0.0]),
-            fixes,
-            FilterSettings(),
-            ImuErrors(),
-            GravityModel.J2,
-        )
+        estimate(name, given)
 
 
 class _Rest:

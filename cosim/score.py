@@ -19,6 +19,9 @@ COLUMNS = ("roll_arcsec", "pitch_arcsec", "heading_arcmin", "v_east_mps", "v_nor
 """The five figures of Gao et al., Table 3, with their units."""
 _PER_UNIT = np.array([1 / ARCSEC, 1 / ARCSEC, 1 / ARCMIN, 1.0, 1.0])
 
+SCORED = ("time", "lla", "v_n", "q_nb", "sd", "misalignment_cov", "delay", "status")
+"""Histories of an `Estimate` that a `Scorer` looks at."""
+
 GROUPS = {"level": slice(0, 2), "heading": slice(2, 3), "velocity": slice(3, 5)}
 """Columns that are judged together: the RMS of a group is that of all its components."""
 
@@ -158,7 +161,7 @@ class Scorer:
     truth: Flight
     filters: tuple[str, ...]
     _rows: dict[str, list[tuple[Any, ...]]] = field(default_factory=dict)
-    _outcomes: dict[str, dict[FixOutcome, int]] = field(default_factory=dict)
+    _outcomes: dict[str, NDArray[np.int64] | int] = field(default_factory=dict)
     _failures: dict[str, dict[int, str]] = field(default_factory=dict)
     _time: Array = field(default_factory=lambda: np.empty(0))
 
@@ -166,11 +169,11 @@ class Scorer:
     def _truth(self) -> _Truth:
         return _Truth.at(self.truth, self._time)
 
-    def add(self, run: Run) -> None:
-        """Score one run; runs must come in order of their ids, from 0."""
-        estimates = [run.estimates[name] for name in self.filters]
+    def add(self, *runs: Run) -> None:
+        """Score runs; they must come in order of their ids, from 0."""
+        estimates = [run.estimates[name] for run in runs for name in self.filters]
         self._time = estimates[0].time
-        # All filters at once: a call of numpy on so few rows costs as much as on three times as many.
+        # All at once: a call of numpy on so few rows costs as much as on many times as many.
         q_nb, v_n, lla, misalignment_cov = (
             np.stack([getattr(estimate, column) for estimate in estimates])
             for column in ("q_nb", "v_n", "lla", "misalignment_cov")
@@ -182,42 +185,40 @@ class Scorer:
         position_error = earth.displacement_n(lla, self._truth.lla)
         position_nees = np.sum((position_error / position_sd) ** 2, axis=-1)
         errors = _five(self._truth, q_nb, v_n)
-        phi_0 = attitude.misalignment(run.q_nb_coarse, self.truth.q_nb[0])
-        for i, (name, estimate) in enumerate(zip(self.filters, estimates, strict=True)):
-            fused = estimate.fused
-            nis = float(np.mean(estimate.nis[fused])) if fused.any() else np.nan
+        phi_0 = attitude.misalignment(np.stack([run.q_nb_coarse for run in runs]), self.truth.q_nb[0])
+        phi_0 = np.repeat(phi_0, len(self.filters), axis=0)
+        level, level_0 = (np.hypot(x[:, 0], x[:, 1]) for x in (phi[:, -1], phi_0))
+        closer = (level < level_0) & (np.abs(phi[:, -1, 2]) < np.abs(phi_0[:, 2]))
+        # A method without a covariance has no NEES to be judged by.
+        diverged = ~closer | (misalignment_nees[:, -1] >= FAILED_NEES)
+        for i, estimate in enumerate(estimates):
+            which, nth = divmod(i, len(self.filters))
+            run, name = runs[which], self.filters[nth]
+            counts = np.bincount(estimate.fix_outcome, minlength=len(FixOutcome))
+            fused = int(counts[FixOutcome.FUSED])
+            nis = float(np.mean(estimate.nis[estimate.fused])) if fused else np.nan
             self._rows.setdefault(name, []).append(
                 (
                     errors[i],
                     position_error[i],
                     position_nees[i],
                     misalignment_nees[i],
-                    np.array(nis),
-                    np.array(np.count_nonzero(fused)),
+                    nis,
+                    fused,
                     estimate.delay,
                     estimate.status.astype(np.int8),
                 )
             )
-            outcomes = self._outcomes.setdefault(name, dict.fromkeys(FixOutcome, 0))
-            counts = np.bincount(estimate.fix_outcome, minlength=len(FixOutcome)).tolist()
-            for outcome in FixOutcome:
-                outcomes[outcome] += counts[outcome]
-            reason = self._failure(estimate, run, phi_0, phi[i, -1], float(misalignment_nees[i, -1]))
+            self._outcomes[name] = self._outcomes.get(name, 0) + counts
+            reason = None
+            if estimate.outcome is not RunOutcome.ALIGNED:
+                reason = estimate.outcome.name.lower()
+            elif counts[FixOutcome.GATED] > 0.5 * len(run.fixes):
+                reason = "locked_out"
+            elif diverged[i]:
+                reason = "diverged"
             if reason:
                 self._failures.setdefault(name, {})[run.run_id] = reason
-
-    def _failure(
-        self, estimate: Estimate, run: Run, phi_0: Array, phi: Array, final_nees: float
-    ) -> str | None:
-        """Why the run failed, or None, by the misalignment (3,) at its start and end."""
-        if estimate.outcome is not RunOutcome.ALIGNED:
-            return estimate.outcome.name.lower()
-        if estimate.count(FixOutcome.GATED) > 0.5 * len(run.fixes):
-            return "locked_out"
-        level, heading = np.linalg.norm(phi[:2]), abs(phi[2])
-        closer = level < np.linalg.norm(phi_0[:2]) and heading < abs(phi_0[2])
-        # A method without a covariance has no NEES to be judged by.
-        return "diverged" if not closer or final_nees >= FAILED_NEES else None
 
     def scores(self) -> dict[str, FilterScore]:
         """Scores by filter name."""
@@ -238,7 +239,7 @@ class Scorer:
             fused=fused,
             delay=delay,
             status=status,
-            fix_outcomes=self._outcomes[name],
+            fix_outcomes=dict(zip(FixOutcome, np.asarray(self._outcomes[name]).tolist(), strict=True)),
             failures=self._failures.get(name, {}),
         )
 

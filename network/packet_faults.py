@@ -31,13 +31,18 @@ class PacketFaults(Settings):
     `copy_delay_max_s`."""
     copy_delay_max_s: float = Field(default=0.5, gt=0, le=60)
 
+    @property
+    def at_work(self) -> bool:
+        """Whether anything may befall a packet."""
+        return self.outlier_share > 0 or self.detour_share > 0 or self.copies > 1
+
 
 def faulty(fixes: Fixes, faults: PacketFaults, rng: Generator) -> Fixes:
     """The packets as they arrive, in order of arrival.
 
     ``rng`` is spawned once for each effect, which is drawn for every packet whether or not it is at work.
     """
-    if faults == PacketFaults() or not len(fixes):
+    if not faults.at_work or not len(fixes):
         return fixes
     rngs, packet = rng.spawn(_EFFECTS), _packets(fixes)
     outlier, aside = _outliers(packet, faults, rngs[_OUTLIERS])

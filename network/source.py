@@ -5,12 +5,13 @@ from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.random import Generator
+from numpy.random import Generator, SeedSequence
 from numpy.typing import NDArray
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from ..sins import earth
 from ..sins.settings import Settings
+from ..sins.streams import Streams
 from ..sins.units import MILLISECOND
 from .delay import Delay, UniformDelay
 from .fixes import Fixes, FixesError, concatenate, read_fixes
@@ -105,13 +106,17 @@ AnyFixSource = Annotated[
 
 
 def draw_fixes(
-    truth: Truth, start_s: float, end_s: float, settings: FixSource | RecordedFixes, rng: Generator
+    truth: Truth,
+    start_s: float,
+    end_s: float,
+    settings: FixSource | RecordedFixes,
+    rng: Generator | SeedSequence,
 ) -> Fixes:
     """Fixes that are valid from ``start_s`` to ``end_s``, in order of arrival.
 
     The first fix is valid at ``start_s``; late ones may arrive after ``end_s``. ``rng`` is spawned once for
-    each effect, whether or not it is at work, and every effect is drawn for every packet sent: switching
-    one on leaves the draws of the others as they were. A recording is cut to the interval and uses neither
+    each effect, whether or not it is at work, and one at work is drawn for every packet sent: switching one
+    on leaves the draws of the others as they were. A recording is cut to the interval and uses neither
     ``truth`` nor ``rng``.
 
     Raises `FixesError` for an interval that ends before it starts.
@@ -122,7 +127,7 @@ def draw_fixes(
         recorded = settings.recorded
         return recorded[(recorded.t_valid >= start_s) & (recorded.t_valid <= end_s)]
 
-    rngs: dict[str, Generator] = dict(zip(_EFFECTS, rng.spawn(len(_EFFECTS)), strict=True))
+    rngs = Streams(rng, _EFFECTS)
     # The small part lets a last fix count that falls on end_s but for rounding.
     k = int(np.floor((end_s - start_s) * settings.rate_hz + 1e-6)) + 1
     t_valid = np.minimum(start_s + np.arange(k) / settings.rate_hz, end_s)
@@ -131,11 +136,15 @@ def draw_fixes(
     noise = sd * rngs["noise"].standard_normal((k, 6))
 
     delay = settings.delay.draw(k, rngs["delay"])
-    detour = settings.out_of_order_max_s * rngs["order"].random(k)
-    delay = delay + np.where(rngs["order"].random(k) < settings.out_of_order_probability, detour, 0.0)
+    if settings.out_of_order_probability > 0:
+        detour = settings.out_of_order_max_s * rngs["order"].random(k)
+        delay = delay + np.where(rngs["order"].random(k) < settings.out_of_order_probability, detour, 0.0)
+    t_stamp = t_valid.copy()
+    if settings.stamp_sd_ms > 0:
+        t_stamp = t_valid + settings.stamp_sd_ms * MILLISECOND * rngs["stamp"].standard_normal(k)
     sent = Fixes(
         t_valid=t_valid,
-        t_stamp=t_valid + settings.stamp_sd_ms * MILLISECOND * rngs["stamp"].standard_normal(k),
+        t_stamp=t_stamp,
         t_arrival=t_valid + delay,
         lla=earth.displaced(lla, noise[:, :3]),
         v_n=v_n + noise[:, 3:],
@@ -144,6 +153,8 @@ def draw_fixes(
         sequence=np.arange(k, dtype=np.int64),
     )
 
+    if settings.loss_probability == settings.duplicate_probability == 0:
+        return sent.sorted_by_arrival()
     received = rngs["loss"].random(k) >= settings.loss_probability
     repeated = received & (rngs["duplicates"].random(k) < settings.duplicate_probability)
     again = t_valid + settings.delay.draw(k, rngs["duplicate_delay"])

@@ -21,12 +21,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.random import Generator
+from numpy.random import Generator, SeedSequence
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
-from scipy.signal import lfilter
 
+from ._imu_kernel import add_errors
 from .settings import Settings
+from .streams import Streams
 from .units import (
     ARCSEC,
     DEG_PER_HOUR,
@@ -153,7 +154,7 @@ class Imu:
 
 
 def simulate_imu(
-    time: ArrayLike, dtheta_b: ArrayLike, dv_b: ArrayLike, errors: ImuErrors, rng: Generator
+    time: ArrayLike, dtheta_b: ArrayLike, dv_b: ArrayLike, errors: ImuErrors, rng: Generator | SeedSequence
 ) -> Imu:
     """Increments as an IMU with the given errors measures them.
 
@@ -163,30 +164,43 @@ def simulate_imu(
 
     Raises `ImuError` for wrong shapes or an uneven ``time``.
     """
-    time, dtheta, dv = np.array(time, float), np.array(dtheta_b, float), np.array(dv_b, float)
+    time = np.array(time, float)
+    dtheta, dv = np.ascontiguousarray(dtheta_b, float), np.ascontiguousarray(dv_b, float)
     dt = _interval(time, dtheta, dv)
     n = len(time)
-    rngs: dict[str, Generator] = dict(zip(_SOURCES, rng.spawn(len(_SOURCES)), strict=True))
+    rngs = Streams(rng, _SOURCES)
     drawn = _draw(n, dt, errors, rngs)
 
-    if drawn.vibration is not None:
-        dv[1:] += np.diff(drawn.vibration, axis=0)
-    dtheta += dtheta @ drawn.gyro_coupling.T + dv @ drawn.gyro_g_sensitivity.T
-    dv += dv @ drawn.accel_coupling.T
-    for increments, constant, variation in (
-        (dtheta, drawn.gyro_bias, drawn.gyro_bias_variation),
-        (dv, drawn.accel_bias, drawn.accel_bias_variation),
+    nothing = np.empty((0, 3))
+    jitter = nothing if drawn.vibration is None else drawn.vibration
+    if drawn.gyro_coupling.any() or drawn.gyro_g_sensitivity.any() or drawn.accel_coupling.any():
+        dv = dv + np.diff(jitter, axis=0, prepend=0.0) if len(jitter) else dv
+        jitter = nothing
+        dtheta = dtheta + (dtheta @ drawn.gyro_coupling.T + dv @ drawn.gyro_g_sensitivity.T)
+        dv = dv + dv @ drawn.accel_coupling.T
+    measured: list[Array] = []
+    for ideal, moved, constant, variation, root_psd, quantum, source in (
+        (
+            *(dtheta, nothing, drawn.gyro_bias, drawn.gyro_bias_variation),
+            *(errors.gyro_arw_deg_sqrt_h * DEG_PER_SQRT_HOUR, errors.gyro_quantum_arcsec * ARCSEC, "gyro"),
+        ),
+        (
+            *(dv, jitter, drawn.accel_bias, drawn.accel_bias_variation),
+            *(errors.accel_vrw_ug_sqrt_hz * MICRO_G_PER_SQRT_HZ, errors.accel_quantum_mps, "accel"),
+        ),
     ):
-        increments += dt * (constant if variation is None else constant + variation)
-    for increments, root_psd, quantum, source in (
-        (dtheta, errors.gyro_arw_deg_sqrt_h * DEG_PER_SQRT_HOUR, errors.gyro_quantum_arcsec * ARCSEC, "gyro"),
-        (dv, errors.accel_vrw_ug_sqrt_hz * MICRO_G_PER_SQRT_HZ, errors.accel_quantum_mps, "accel"),
-    ):
-        if root_psd > 0:
-            increments += root_psd * np.sqrt(dt) * rngs[f"{source}_noise"].standard_normal((n, 3))
-        increments[0] = 0.0
+        bias = dt * constant
+        if variation is not None:
+            if len(moved):
+                ideal, moved = ideal + np.diff(moved, axis=0, prepend=0.0), nothing
+            ideal, bias = ideal + dt * (constant + variation), np.zeros(3)
+        normal = rngs[f"{source}_noise"].standard_normal((n, 3)) if root_psd > 0 else nothing
+        increments = np.empty((n, 3))
+        add_errors(ideal, moved, bias, root_psd * np.sqrt(dt), normal, increments)
         if quantum > 0:
             increments[1:] = np.diff(quantum * np.round(np.cumsum(increments, axis=0) / quantum), axis=0)
+        measured.append(increments)
+    dtheta, dv = measured
     return Imu(time, dtheta, dv, drawn)
 
 
@@ -207,11 +221,12 @@ def _interval(time: Array, dtheta_b: Array, dv_b: Array) -> float:
     return float(dt)
 
 
-def _draw(n: int, dt: float, errors: ImuErrors, rngs: dict[str, Generator]) -> DrawnImuErrors:
+def _draw(n: int, dt: float, errors: ImuErrors, rngs: Streams) -> DrawnImuErrors:
     """Draw what is constant in a run and the time histories of bias and vibration."""
     vibration = None
     if errors.vibration_mps > 0:
-        vibration = errors.vibration_mps * rngs["vibration"].standard_normal((n, 3))
+        vibration = rngs["vibration"].standard_normal((n, 3))
+        vibration *= errors.vibration_mps
         vibration[0] = 0.0
     return DrawnImuErrors(
         gyro_bias=_constant_bias(errors.gyro_bias_deg_h * DEG_PER_HOUR, errors, rngs["gyro_bias"]),
@@ -220,21 +235,23 @@ def _draw(n: int, dt: float, errors: ImuErrors, rngs: dict[str, Generator]) -> D
             errors.gyro_bias_instability_deg_h * DEG_PER_HOUR,
             dt / errors.gyro_bias_correlation_s,
             n,
-            rngs["gyro_bias_variation"],
+            rngs,
+            "gyro_bias_variation",
         ),
         accel_bias_variation=_gauss_markov(
             errors.accel_bias_instability_ug * MICRO_G,
             dt / errors.accel_bias_correlation_s,
             n,
-            rngs["accel_bias_variation"],
+            rngs,
+            "accel_bias_variation",
         ),
         gyro_coupling=_coupling(errors.gyro_scale_factor_ppm, errors.gyro_misalignment_arcsec, "gyro", rngs),
         accel_coupling=_coupling(
             errors.accel_scale_factor_ppm, errors.accel_misalignment_arcsec, "accel", rngs
         ),
-        gyro_g_sensitivity=errors.gyro_g_sensitivity_deg_h_g
-        * DEG_PER_HOUR_PER_G
-        * rngs["gyro_g_sensitivity"].standard_normal((3, 3)),
+        gyro_g_sensitivity=_normal(
+            errors.gyro_g_sensitivity_deg_h_g * DEG_PER_HOUR_PER_G, (3, 3), rngs, "gyro_g_sensitivity"
+        ),
         vibration=vibration,
     )
 
@@ -250,18 +267,26 @@ def _constant_bias(size: float, errors: ImuErrors, rng: Generator) -> Array:
             return np.full(3, size)
 
 
-def _coupling(scale_factor_ppm: float, misalignment_arcsec: float, sensor: str, rngs: dict[str, Generator]):
-    scale_factor = scale_factor_ppm * PPM * rngs[f"{sensor}_scale_factor"].standard_normal(3)
-    misalignment = misalignment_arcsec * ARCSEC * rngs[f"{sensor}_misalignment"].standard_normal((3, 3))
+def _coupling(scale_factor_ppm: float, misalignment_arcsec: float, sensor: str, rngs: Streams) -> Array:
+    scale_factor = _normal(scale_factor_ppm * PPM, (3,), rngs, f"{sensor}_scale_factor")
+    misalignment = _normal(misalignment_arcsec * ARCSEC, (3, 3), rngs, f"{sensor}_misalignment")
     np.fill_diagonal(misalignment, scale_factor)
     return misalignment
 
 
-def _gauss_markov(sigma: float, dt_over_correlation: float, n: int, rng: Generator) -> Array | None:
+def _normal(sd: float, shape: tuple[int, ...], rngs: Streams, source: str) -> Array:
+    return sd * rngs[source].standard_normal(shape) if sd > 0 else np.zeros(shape)
+
+
+def _gauss_markov(
+    sigma: float, dt_over_correlation: float, n: int, rngs: Streams, source: str
+) -> Array | None:
     """Stationary first-order Gauss-Markov process, sampled exactly, shape (n, 3); None for no process."""
     if sigma == 0:
         return None
-    drive = rng.standard_normal((n, 3))
+    from scipy.signal import lfilter  # takes a second to import
+
+    drive = rngs[source].standard_normal((n, 3))
     drive[0] *= sigma
     drive[1:] *= sigma * np.sqrt(-np.expm1(-2 * dt_over_correlation))
     return np.asarray(lfilter([1.0], [1.0, -np.exp(-dt_over_correlation)], drive, axis=0))

@@ -198,6 +198,22 @@ def test_interpolation(flight):
         coarse.at([s.start_s, np.nan])
 
 
+def test_times_asked_for_again_are_where_they_were(flight):
+    """Known from the last time, whatever the asker did to it; and no others take their place."""
+    s = flight.phase("s_maneuver")
+    window = flight.window(s.start_s, s.end_s)
+    t = np.linspace(s.start_s, s.end_s, 7)
+    first = window.at(t)
+    kept = [column.copy() for column in first]
+    for column in first:
+        column[:] = 0.0
+    for found, true in zip(window.at(t), kept, strict=True):
+        np.testing.assert_array_equal(found, true)
+    other = window.at(t + 0.003 * (t < s.end_s))[0]
+    assert (other[:-1] != kept[0][:-1]).any(axis=1).all()
+    np.testing.assert_array_equal(window.at(t)[0], kept[0])
+
+
 def test_interpolation_across_the_antimeridian():
     plan = FlightPlan(start=Start(longitude_deg=179.9), s_start_s=130.0, tail_s=0.0, fdm_rate_hz=200)
     across = fly(plan.model_copy(update={"s_maneuver": SManeuver(duration_s=5.0)}))

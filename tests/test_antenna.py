@@ -4,6 +4,7 @@ arm."""
 import numpy as np
 import pytest
 from fleetalign.align.consistency import mean_band
+from fleetalign.align.inputs import AlignmentInput
 from fleetalign.align.methods import estimate
 from fleetalign.cosim.antenna import at_antenna
 from fleetalign.cosim.run import simulate, true_lever_arm
@@ -94,5 +95,6 @@ def test_an_arm_that_nobody_told_of_shows(stated, flight, window):
     fixes = simulate(scenario, off, 0, 4).fixes
     own = simulate(scenario, flight, 0, 4)
     record = (own.imu.time, own.imu.dtheta_b, own.imu.dv_b, own.q_nb_coarse)
-    blind = estimate("ekf_stamped", *record, fixes, scenario.alignment.settings, scenario.imu, window.gravity)
+    told = scenario.alignment.settings, scenario.imu, window.gravity
+    blind = estimate("ekf_stamped", AlignmentInput.checked(*record, fixes, *told))
     assert blind.nis[blind.fused].mean() > mean_band(6, int(blind.fused.sum()), 0.9999)[1]

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from fleetalign.align.estimate import FixOutcome
 from fleetalign.align.filters import FILTERS, align
+from fleetalign.align.inputs import AlignmentInput
 from fleetalign.align.settings import FilterSettings
 from fleetalign.cosim.run import fixes_of, simulate
 from fleetalign.cosim.scenario import ScenarioError, replaced
 from fleetalign.network.attacks import Forgery, Replay, Tampering, attacked
 from fleetalign.network.authentication import TAG_BYTES, Authentication, genuine, tags
 from fleetalign.network.fixes import concatenate, read_fixes, write_fixes
+from fleetalign.sins.earth import GravityModel
 
 KEYED = Authentication(key_hex="5a" * 32)
 USED = (FixOutcome.FUSED, FixOutcome.INITIALIZED)
@@ -32,7 +34,9 @@ def aligned(run, stated):
         first = round(from_s / (run.imu.time[1] - run.imu.time[0]))
         record = (run.imu.time[first:], run.imu.dtheta_b[first:], run.imu.dv_b[first:])
         settings = FilterSettings(delay_sd_ms=14.4, heading_sd_deg=20.0)
-        return align(*record, run.q_nb_coarse, fixes, FILTERS[name], settings, stated.imu, 1)
+        told = settings, stated.imu, GravityModel.J2
+        given = AlignmentInput.checked(*record, run.q_nb_coarse, fixes, *told)
+        return align(given, FILTERS[name])
 
     return align_
 

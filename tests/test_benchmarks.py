@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fleetalign.align.filters import FILTERS, align
+from fleetalign.align.inputs import AlignmentInput
 from fleetalign.cosim.run import simulate
 from fleetalign.cosim.scenario import replaced
 from fleetalign.sins import attitude
@@ -63,9 +64,8 @@ def test_quick_run_writes_the_table(benchmarks, tmp_path):
 
 @pytest.mark.parametrize("name", FILTERS)
 def test_numpy_filter_is_the_compiled_one(benchmarks, material, name):
-    arguments = material.alignment(name)
-    reference = benchmarks.numpy_filter.NumpyFilter(*arguments).align()
-    ours = align(*arguments)
+    reference = benchmarks.numpy_filter.NumpyFilter(*material.measured, FILTERS[name]).align()
+    ours = align(AlignmentInput.checked(*material.measured), FILTERS[name])
     phi = attitude.misalignment(ours.q_nb[-1], reference.navigation.q_nb)
     assert np.max(np.abs(phi) / ours.sd[-1, 6:9]) < 1e-3
     assert np.max(np.abs(ours.v_n[-1] - reference.navigation.v_n) / ours.sd[-1, 3:6]) < 1e-3

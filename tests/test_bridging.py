@@ -6,6 +6,7 @@ from fleetalign.align.bridging import lssvm
 from fleetalign.align.bridging.outage import bridged
 from fleetalign.align.bridging.regression import LEAST_ROWS, TrainingError, fit
 from fleetalign.align.estimate import Estimate, NavStatus, RunOutcome
+from fleetalign.align.increments import restored
 from fleetalign.sins import earth
 from fleetalign.sins.earth import GravityModel
 from fleetalign.sins.mechanization import NavigationState, mechanize
@@ -129,14 +130,14 @@ def record():
         held_imu_samples=0,
         outcome=RunOutcome.ALIGNED,
     )
-    return time, dtheta, dv + BIAS_MPS2 * 0.1, found
+    return restored(time, dtheta, dv + BIAS_MPS2 * 0.1, None, np.inf), found
 
 
 @pytest.mark.parametrize("name", ["lssvm", "mlp"])
 def test_a_constant_error_is_learnt_and_taken_out(record, name):
     """The INS alone would be 0.5 * 0.02 * 50^2 = 25 m off; what is left of it is below 2 %."""
-    time, dtheta, dv, found = record
-    made = bridged(found, time, dtheta, dv, GravityModel.J2, [OUTAGE], name)
+    record, found = record
+    made = bridged(found, record, GravityModel.J2, [OUTAGE], name)
     inside = (found.time > OUTAGE[0]) & (found.time < OUTAGE[1])
     off = earth.displacement_n(made.lla[inside], found.lla[inside])
     assert 0 < np.abs(off).max() < 0.5
@@ -151,23 +152,23 @@ def test_a_constant_error_is_learnt_and_taken_out(record, name):
 
 
 def test_without_a_model_or_a_record_the_filter_coasts(record):
-    time, dtheta, dv, found = record
-    assert bridged(found, time, dtheta, dv, GravityModel.J2, [OUTAGE], "coast") is found
-    assert bridged(found, time, dtheta, dv, GravityModel.J2, [], "lssvm") is found
-    early = bridged(found, time, dtheta, dv, GravityModel.J2, [(3.95, 8.0)], "lssvm")
+    record, found = record
+    assert bridged(found, record, GravityModel.J2, [OUTAGE], "coast") is found
+    assert bridged(found, record, GravityModel.J2, [], "lssvm") is found
+    early = bridged(found, record, GravityModel.J2, [(3.95, 8.0)], "lssvm")
     np.testing.assert_array_equal(early.lla, found.lla)
-    late = bridged(found, time, dtheta, dv, GravityModel.J2, [(4.05, 8.0)], "lssvm")
+    late = bridged(found, record, GravityModel.J2, [(4.05, 8.0)], "lssvm")
     assert (late.lla != found.lla).any()
 
 
 def test_a_second_outage_does_not_learn_from_the_first(record):
     """What the filter coasts through is no target: nonsense there leaves the second bridge as it was."""
-    time, dtheta, dv, found = record
+    record, found = record
     both = [(40.0, 50.0), OUTAGE]
-    made = bridged(found, time, dtheta, dv, GravityModel.J2, both, "lssvm")
+    made = bridged(found, record, GravityModel.J2, both, "lssvm")
     v_n = found.v_n.copy()
     v_n[(found.time > 40) & (found.time < 50)] += 3.0
     spoilt = Estimate(**{**vars(found), "v_n": v_n})
-    again = bridged(spoilt, time, dtheta, dv, GravityModel.J2, both, "lssvm")
+    again = bridged(spoilt, record, GravityModel.J2, both, "lssvm")
     second = (found.time > OUTAGE[0]) & (found.time < OUTAGE[1])
     np.testing.assert_array_equal(again.lla[second], made.lla[second])

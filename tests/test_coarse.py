@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from fleetalign.align.coarse import HEADING_SD, LEVEL_SD, align_in_motion
 from fleetalign.align.estimate import RunOutcome
+from fleetalign.align.inputs import AlignmentInput
 from fleetalign.align.methods import estimate
 from fleetalign.align.problem import pose
 from fleetalign.align.settings import DelayModel, FilterSettings
@@ -31,12 +32,16 @@ def drawn(scenario, flight, window, run_id, settings=IN_MOTION, **changes):
     return (imu.time, imu.dtheta_b, imu.dv_b, NOWHERE, fixes), (settings, scenario.imu, window.gravity)
 
 
+def given(record, budget):
+    return AlignmentInput.checked(*record, *budget)
+
+
 @pytest.mark.parametrize("delay", [DelayModel.STAMPED, DelayModel.ESTIMATED])
 def test_errors_are_those_that_it_states(stated, flight, window, delay):
     ratios = []
     for run_id in range(20):
         record, (settings, *budget) = drawn(stated, flight, window, run_id)
-        found = align_in_motion(pose(*record, delay, settings, *budget))
+        found = align_in_motion(pose(given(record, (settings, *budget)), delay))
         assert 1.0 < found.time - window.time[0] < 5.0
         assert (found.sd[:2] < LEVEL_SD).all()
         assert found.sd[2] < HEADING_SD
@@ -48,7 +53,7 @@ def test_errors_are_those_that_it_states(stated, flight, window, delay):
 def test_exact_data_give_the_exact_attitude(stated, flight, window):
     record, budget = drawn(stated, flight, window, 0, **EXACT)
     exact = (window.time, window.dtheta_b, window.dv_b, *record[3:])
-    found = align_in_motion(pose(*exact, DelayModel.STAMPED, *budget))
+    found = align_in_motion(pose(given(exact, budget), DelayModel.STAMPED))
     # Velocities of 1e-4 m/s against 10 m/s of gravity and some m/s of manoeuvre a second.
     assert np.abs(attitude.misalignment(found.q_nb, window.q_nb[0])).max() < 2e-3
 
@@ -56,8 +61,8 @@ def test_exact_data_give_the_exact_attitude(stated, flight, window):
 def test_antenna_far_from_the_imu_is_allowed_for(stated, flight, window):
     arm = FilterSettings(coarse_stage="in_motion", lever_arm_b_m=(20.0, 0.0, -5.0))
     record, budget = drawn(stated, flight, window, 0, settings=arm, **EXACT)
-    told = align_in_motion(pose(*record, DelayModel.STAMPED, *budget))
-    blind = align_in_motion(pose(*record, DelayModel.STAMPED, IN_MOTION, *budget[1:]))
+    told = align_in_motion(pose(given(record, budget), DelayModel.STAMPED))
+    blind = align_in_motion(pose(given(record, (IN_MOTION, *budget[1:])), DelayModel.STAMPED))
     errors = [np.abs(attitude.misalignment(found.q_nb, window.q_nb[0])).max() for found in (told, blind)]
     assert errors[0] < 0.02 < errors[1]
 
@@ -66,7 +71,7 @@ def test_straight_flight_tells_no_heading(stated, flight):
     level = flight.window(400.0, 440.0)
     scenario = replaced(stated, {"alignment.start": 400.0}, "test")
     record, budget = drawn(scenario, flight, level, 0)
-    result = estimate("ekf_stamped", *record, *budget)
+    result = estimate("ekf_stamped", given(record, budget))
     assert result.outcome is RunOutcome.NO_COARSE
     assert np.isnan(result.q_nb).all()
     assert len(result.fix_outcome) == len(record[4])
@@ -79,7 +84,9 @@ def test_duplicates_and_broken_fixes_are_left_out(stated, flight, window):
     v_n[5] = np.nan
     noisy = replace(fixes, v_n=v_n)
     twice = noisy[np.repeat(np.arange(len(fixes)), 2)]
-    once, again = (align_in_motion(pose(*record[:4], f, DelayModel.STAMPED, *budget)) for f in (noisy, twice))
+    once, again = (
+        align_in_motion(pose(given((*record[:4], f), budget), DelayModel.STAMPED)) for f in (noisy, twice)
+    )
     np.testing.assert_allclose(once.q_nb, again.q_nb, atol=1e-12)
     assert np.isfinite(once.q_nb).all()
 

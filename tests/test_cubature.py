@@ -5,6 +5,7 @@ import pytest
 from fleetalign.align import _cubature_kernel, _kernels, _memory
 from fleetalign.align.consistency import mean_band
 from fleetalign.align.filters import align
+from fleetalign.align.inputs import AlignmentInput
 from fleetalign.align.measurement import N_STATES
 from fleetalign.align.settings import DelayModel, Transform
 from fleetalign.cosim.run import alignment_window, coarse_attitude, generator, simulate
@@ -214,13 +215,12 @@ def test_square_roots_outlive_what_breaks_the_covariance(stated, flight):
     settings = stated.alignment.settings.model_copy(
         update={"gate_probability": 1 - 1e-15, "restart_after_gated": 100_000}
     )
+    measured = imu.time[:end], imu.dtheta_b[:end], imu.dv_b[:end], q_nb, sharp
+    given = AlignmentInput.checked(*measured, settings, stated.imu, window.gravity)
     found = {
-        transform: align(
-            imu.time[:end], imu.dtheta_b[:end], imu.dv_b[:end], q_nb, sharp, DelayModel.IGNORED, settings,
-            stated.imu, window.gravity, transform,
-        )
+        transform: align(given, DelayModel.IGNORED, transform)
         for transform in (Transform.CUBATURE, Transform.SQUARE_ROOT)
-    }  # fmt: skip
+    }
     assert found[Transform.SQUARE_ROOT].outcome.name == "ALIGNED"
     assert np.isfinite(found[Transform.SQUARE_ROOT].sd[-1]).all()
     assert found[Transform.CUBATURE].outcome.name == "NOT_FINITE"

@@ -9,6 +9,7 @@ from fleetalign.aircraft.cache import cached_flight
 from fleetalign.aircraft.truth import InertialStates, increments, navigation_truth
 from fleetalign.align.consistency import chi_square_quantile, mean_band, nees
 from fleetalign.align.estimate import FixOutcome, NavStatus, RunOutcome
+from fleetalign.align.inputs import AlignmentInput
 from fleetalign.align.methods import METHODS, estimate
 from fleetalign.align.problem import pose, status_of
 from fleetalign.align.problem import run as align_problem
@@ -49,7 +50,7 @@ def again(scenario, window, run, fixes, name, **settings):
     """Align anew by a method on a run's data, with other fixes."""
     told = scenario.alignment.settings.model_copy(update=settings)
     record = (run.imu.time, run.imu.dtheta_b, run.imu.dv_b, run.q_nb_coarse, fixes)
-    return estimate(name, *record, told, scenario.imu, window.gravity)
+    return estimate(name, AlignmentInput.checked(*record, told, scenario.imu, window.gravity))
 
 
 @pytest.fixture(scope="module")
@@ -412,7 +413,8 @@ def check_covariances(P):
 
 
 def check_run(record, delay, transform, scenario):
-    problem = pose(*record, delay, scenario.alignment.settings, scenario.imu, GravityModel.J2)
+    settings = scenario.alignment.settings
+    problem = pose(AlignmentInput.checked(*record, settings, scenario.imu, GravityModel.J2), delay)
     kept = 201 if delay is DelayModel.STAMPED else 1
     found, (_, P) = align_problem(problem, kept - 1, kept, transform)
     assert found.outcome is RunOutcome.ALIGNED

@@ -7,6 +7,7 @@ import pytest
 from fleetalign.align import _kernels, _memory, measurement
 from fleetalign.align.estimate import FixOutcome, RunOutcome
 from fleetalign.align.filters import align
+from fleetalign.align.inputs import AlignmentInput
 from fleetalign.align.settings import DelayModel, FilterSettings
 from fleetalign.cosim.run import coarse_attitude, generator, simulate
 from fleetalign.cosim.scenario import CoarseAttitude, replaced
@@ -35,9 +36,8 @@ def run(record, fixes=None, delay=DelayModel.STAMPED, imu=None, settings=SETTING
     record_imu, q_nb_coarse, record_fixes = record
     imu = record_imu if imu is None else imu
     fixes = record_fixes if fixes is None else fixes
-    return align(
-        imu.time, imu.dtheta_b, imu.dv_b, q_nb_coarse, fixes, delay, settings, errors, GravityModel.J2
-    )
+    measured = imu.time, imu.dtheta_b, imu.dv_b, q_nb_coarse, fixes
+    return align(AlignmentInput.checked(*measured, settings, errors, GravityModel.J2), delay)
 
 
 def assert_ends_alike(a, b, atol=0.0):
@@ -235,9 +235,7 @@ def test_no_usable_fix_is_an_outcome(record):
 def test_time_must_increase(record, time):
     zero = np.zeros((len(time), 3))
     with pytest.raises(ValueError, match="time must increase"):
-        align(
-            time, zero, zero, [1, 0, 0, 0], record[2], DelayModel.IGNORED, SETTINGS, ERRORS, GravityModel.J2
-        )
+        AlignmentInput.checked(time, zero, zero, [1, 0, 0, 0], record[2], SETTINGS, ERRORS, GravityModel.J2)
 
 
 def test_outliers_are_gated(record):

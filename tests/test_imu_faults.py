@@ -12,6 +12,7 @@ from fleetalign.align.consistency import mean_band, nees
 from fleetalign.align.estimate import NavStatus, RunOutcome, SampleOutcome
 from fleetalign.align.filters import align
 from fleetalign.align.increments import restored
+from fleetalign.align.inputs import AlignmentInput
 from fleetalign.align.methods import METHODS
 from fleetalign.align.settings import DelayModel
 from fleetalign.cosim.run import simulate, simulate_all
@@ -46,10 +47,8 @@ def clean(both, window):
 
 def aligned(scenario, window, imu, run, delay=DelayModel.STAMPED, **settings):
     told = scenario.alignment.settings.model_copy(update=settings)
-    return align(
-        *(imu.time, imu.dtheta_b, imu.dv_b, run.q_nb_coarse, run.fixes),
-        *(delay, told, scenario.imu, window.gravity),
-    )
+    measured = imu.time, imu.dtheta_b, imu.dv_b, run.q_nb_coarse, run.fixes
+    return align(AlignmentInput.checked(*measured, told, scenario.imu, window.gravity), delay)
 
 
 def rows_of(imu, *faults):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from fleetalign.align.estimate import FixOutcome, NavStatus, RunOutcome
+from fleetalign.align.inputs import AlignmentInput
 from fleetalign.align.lmi.alignment import align_lmi, ekf_ten, gain_schedule, white
 from fleetalign.align.lmi.design import DesignError, Kind, Outcome, design
 from fleetalign.align.lmi.plant import MATRICES, Plant
@@ -158,9 +159,13 @@ def test_bundled_plant_is_that_of_the_settings():
         np.testing.assert_allclose(getattr(plant, name), matrix, atol=1e-9 * np.abs(matrix).max(), rtol=1e-6)
 
 
+def given(*measured):
+    return AlignmentInput.checked(*measured, FilterSettings(), ImuErrors(), GRAVITY)
+
+
 def test_schedule_levels_and_finds_the_heading_in_turns(record, scheduled):
     time, dtheta, dv, _, fixes, coarse = record
-    found = align_lmi(time, dtheta, dv, coarse, fixes, scheduled, FilterSettings(), GRAVITY)
+    found = align_lmi(given(time, dtheta, dv, coarse, fixes), scheduled)
     assert found.outcome is RunOutcome.ALIGNED
     assert np.isfinite(found.q_nb[5:]).all()
     roll, pitch, heading = errors(found, record)
@@ -185,7 +190,7 @@ def test_a_first_fix_that_is_off_is_forgotten(record, level):
     fixes = fixes_of(time, truth, np.random.default_rng(4))
     R_N, R_E = earth.radii_of_curvature(fixes.lla[0, 0])
     fixes.lla[0] += np.array([100 / R_N, 100 / (R_E * np.cos(fixes.lla[0, 0])), -100])
-    found = align_lmi(time, nothing, dv, truth.q_nb[0], fixes, level, FilterSettings(), GRAVITY)
+    found = align_lmi(given(time, nothing, dv, truth.q_nb[0], fixes), level)
     error = earth.displacement_n(found.lla[-1], truth.lla[-1])
     assert (np.abs(error) < 80).all()
 
@@ -193,7 +198,7 @@ def test_a_first_fix_that_is_off_is_forgotten(record, level):
 def test_constant_gain_leaves_the_heading(record, level):
     """In level flight no fix shows it, and the gain for level flight never asks."""
     time, dtheta, dv, _, fixes, coarse = record
-    found = align_lmi(time, dtheta, dv, coarse, fixes, level, FilterSettings(), GRAVITY)
+    found = align_lmi(given(time, dtheta, dv, coarse, fixes), level)
     assert np.isfinite(found.q_nb[5:]).all()
     assert errors(found, record)[2] > 300
 
@@ -201,7 +206,7 @@ def test_constant_gain_leaves_the_heading(record, level):
 def test_ekf_on_the_ten_states_is_certain_of_too_much(record):
     """It aligns, and takes its level for better known than accelerometers of 100 ug can tell."""
     time, dtheta, dv, _, fixes, coarse = record
-    found = ekf_ten(time, dtheta, dv, coarse, fixes, FilterSettings(), ImuErrors(), GRAVITY)
+    found = ekf_ten(given(time, dtheta, dv, coarse, fixes))
     roll, pitch, heading = errors(found, record)
     assert max(roll, pitch) < 300
     assert heading < 10
@@ -227,7 +232,7 @@ def test_fixes_that_do_not_count(record, level):
     arrival[[9, 10]] = arrival[10] + 0.03, arrival[9] + 0.03
     arrival[15], arrival[n] = 100.0, arrival[7] + 0.001
     some = Fixes(**{**vars(some), "t_arrival": arrival})
-    found = align_lmi(time, dtheta, dv, coarse, some, level, FilterSettings(), GRAVITY)
+    found = align_lmi(given(time, dtheta, dv, coarse, some), level)
     order = np.argsort(arrival, kind="stable")
     outcome = dict(zip(order, found.fix_outcome, strict=True))
     assert outcome[0] == FixOutcome.INITIALIZED
@@ -240,7 +245,7 @@ def test_fixes_that_do_not_count(record, level):
     assert set(found.status[(since < 2.9) & (found.time > 0.2)]) == {NavStatus.AIDED}
     assert set(found.status[since > 3.1]) == {NavStatus.DEAD_RECKONING}
     nothing = Fixes(**{name: getattr(some, name)[:0] for name in Fixes.__dataclass_fields__})
-    found = align_lmi(time, dtheta, dv, coarse, nothing, level, FilterSettings(), GRAVITY)
+    found = align_lmi(given(time, dtheta, dv, coarse, nothing), level)
     assert found.outcome is RunOutcome.NO_FIX
     assert np.isnan(found.lla).all()
     assert set(found.status) == {NavStatus.NOT_STARTED}

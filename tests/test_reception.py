@@ -7,7 +7,8 @@ import pytest
 from fleetalign.align.consistency import chi_square_quantile, nees
 from fleetalign.align.estimate import FixOutcome, RunOutcome
 from fleetalign.align.filters import FILTERS, align
-from fleetalign.align.reception import received
+from fleetalign.align.inputs import AlignmentInput
+from fleetalign.align.reception import counted_from, received
 from fleetalign.align.settings import DelayModel
 from fleetalign.cosim.run import simulate
 from fleetalign.cosim.scenario import replaced
@@ -25,7 +26,8 @@ def again(scenario, window, run, delay=DelayModel.STAMPED, imu=None, fixes=None,
     imu, fixes = imu or run.imu, run.fixes if fixes is None else fixes
     told = scenario.alignment.settings.model_copy(update=settings)
     q_nb = run.q_nb_coarse if q_nb is None else q_nb
-    return align(imu.time, imu.dtheta_b, imu.dv_b, q_nb, fixes, delay, told, scenario.imu, window.gravity)
+    measured = imu.time, imu.dtheta_b, imu.dv_b, q_nb, fixes
+    return align(AlignmentInput.checked(*measured, told, scenario.imu, window.gravity), delay)
 
 
 def final_nees(estimate, window):
@@ -107,11 +109,12 @@ def test_horizon_and_clock_margins_are_where_they_are_said_to_be(alone, window):
         t_stamp=np.full(3, t_stamp),
         t_arrival=t_stamp + np.array([-0.02, -0.005, 1.0]),
     )
-    outcome, _ = received(window.time, single, by_stamp=True, stamp_sd=0.0)
+    found = received(window.time, single)
+    outcome, _ = counted_from(window.time, found, by_stamp=True, stamp_sd=0.0)
     assert list(outcome) == [FixOutcome.FUTURE, FixOutcome.PENDING, FixOutcome.PENDING]
-    outcome, _ = received(window.time, single, by_stamp=True, stamp_sd=0.004)
+    outcome, _ = counted_from(window.time, found, by_stamp=True, stamp_sd=0.004)
     assert outcome[0] == FixOutcome.PENDING
-    outcome, _ = received(window.time, single, by_stamp=False, stamp_sd=0.0)
+    outcome, _ = counted_from(window.time, found, by_stamp=False, stamp_sd=0.0)
     assert (outcome == FixOutcome.PENDING).all()
 
 

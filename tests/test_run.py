@@ -12,6 +12,7 @@ import pytest
 from fleetalign.align.consistency import mean_band, nees
 from fleetalign.align.estimate import RunOutcome
 from fleetalign.align.filters import align
+from fleetalign.align.inputs import AlignmentInput
 from fleetalign.align.settings import DelayModel
 from fleetalign.cosim.bound import bound_of
 from fleetalign.cosim.run import alignment_window, fixes_of, generator, simulate, simulate_all
@@ -134,13 +135,27 @@ def test_a_filter_told_wrong_noise_leaves_the_band(stated, window):
         run = simulate(scenario, window, run_id, seed=7)
         _, v_n, _ = window.at(run.fixes.t_valid)
         noisy = replace(run.fixes, v_n=v_n + 2 * (run.fixes.v_n - v_n))
-        estimate = align(
-            run.imu.time, run.imu.dtheta_b, run.imu.dv_b, run.q_nb_coarse, noisy, DelayModel.STAMPED,
-            scenario.alignment.settings, scenario.imu, window.gravity,
-        )  # fmt: skip
+        measured = run.imu.time, run.imu.dtheta_b, run.imu.dv_b, run.q_nb_coarse, noisy
+        told = scenario.alignment.settings, scenario.imu, window.gravity
+        estimate = align(AlignmentInput.checked(*measured, *told), DelayModel.STAMPED)
         errors.append(attitude.misalignment(estimate.q_nb[-1], window.q_nb[-1]))
         covariances.append(estimate.misalignment_cov[-1])
     assert np.mean(nees(np.array(errors), np.array(covariances))) > mean_band(3, 60)[1]
+
+
+def test_runs_scored_together_are_those_scored_one_by_one(stated, window):
+    runs = list(simulate_all(stated, window, 3, seed=7))
+    # One that failed, and only there.
+    lost = {name: replace(found, outcome=RunOutcome.NOT_FINITE) for name, found in runs[1].estimates.items()}
+    runs[1] = replace(runs[1], estimates=lost)
+    together, single = (Scorer(window, stated.alignment.filters) for _ in range(2))
+    together.add(*runs)
+    for run in runs:
+        single.add(run)
+    assert all(score.failures == {1: "not_finite"} for score in together.scores().values())
+    for name, score in single.scores().items():
+        for field, value in vars(score).items():
+            np.testing.assert_array_equal(getattr(together.scores()[name], field), value)
 
 
 def test_a_run_depends_on_its_id_alone(stated, window):

@@ -8,6 +8,7 @@ from fleetalign.align import _smoothing_kernel
 from fleetalign.align.consistency import mean_band, nees
 from fleetalign.align.estimate import FixOutcome, RunOutcome
 from fleetalign.align.filters import align
+from fleetalign.align.inputs import AlignmentInput
 from fleetalign.align.settings import DelayModel, FilterSettings
 from fleetalign.align.smoother import smooth
 from fleetalign.cosim.run import coarse_attitude, fixes_of, generator
@@ -16,6 +17,9 @@ from fleetalign.sins import attitude
 from fleetalign.sins.imu import simulate_imu
 
 RUNS = 40
+
+
+given = AlignmentInput.checked
 
 
 def record_of(scenario, flight, window, run_id):
@@ -32,7 +36,7 @@ def budget(stated, window):
 
 @pytest.fixture(scope="module")
 def smoothed(stated, flight, window, budget):
-    return [smooth(*record_of(stated, flight, window, i), *budget) for i in range(RUNS)]
+    return [smooth(given(*record_of(stated, flight, window, i), *budget)) for i in range(RUNS)]
 
 
 def test_backward_pass_is_the_batch_solution():
@@ -82,7 +86,7 @@ def test_backward_pass_is_the_batch_solution():
 
 
 def test_it_ends_where_the_filter_does_and_is_never_worse(stated, flight, window, budget, smoothed):
-    filtered = align(*record_of(stated, flight, window, 0), DelayModel.STAMPED, *budget)
+    filtered = align(given(*record_of(stated, flight, window, 0), *budget), DelayModel.STAMPED)
     known = slice(0, 15)
     np.testing.assert_allclose(smoothed[0].sd[-1, known], filtered.sd[-1, known], rtol=2e-3)
     # One began with 10 deg of heading, the other with what the first pass left: some arcsec of 20.
@@ -114,7 +118,8 @@ def test_many_fixes_at_one_epoch_are_one_of_their_mean(stated, flight, window, b
     end = int(np.searchsorted(record[0], record[0][0] + 5))
     time, dtheta_b, dv_b = (column[:end] for column in record[:3])
     one, many = (
-        smooth(time, dtheta_b, dv_b, record[3], some, settings, still, gravity) for some in (few, copies)
+        smooth(given(time, dtheta_b, dv_b, record[3], some, settings, still, gravity))
+        for some in (few, copies)
     )
     assert many.count(FixOutcome.FUSED) + many.count(FixOutcome.INITIALIZED) == times * len(few)
     apart = attitude.misalignment(many.q_nb, one.q_nb)
@@ -139,7 +144,7 @@ def test_noise_that_is_told_wrong_leaves_the_band(stated, flight, window):
         time, dtheta_b, dv_b, q_nb, fixes = record_of(doubled, flight, window, run_id)
         fixes = replace(fixes, cov=fixes.cov / 4)
         told = FilterSettings(gate_probability=1 - 1e-15)
-        s = smooth(time, dtheta_b, dv_b, q_nb, fixes, told, doubled.imu, window.gravity)
+        s = smooth(given(time, dtheta_b, dv_b, q_nb, fixes, told, doubled.imu, window.gravity))
         values.append(nees(attitude.misalignment(s.q_nb[-1], window.q_nb[-1]), s.misalignment_cov[-1]))
     assert np.mean(values) > mean_band(3, RUNS, 0.9999)[1]
 
@@ -149,7 +154,7 @@ def test_a_restart_divides_the_record(stated, flight, window, budget):
     across."""
     time, dtheta_b, dv_b, q_nb, fixes = record_of(stated, flight, window, 0)
     jumped = fixes.lla + np.where(fixes.t_valid[:, None] > window.time[0] + 20, [0.0, 0.0, 1000.0], 0.0)
-    s = smooth(time, dtheta_b, dv_b, q_nb, replace(fixes, lla=jumped), *budget)
+    s = smooth(given(time, dtheta_b, dv_b, q_nb, replace(fixes, lla=jumped), *budget))
     assert s.count(FixOutcome.INITIALIZED) == 2
     after = s.time > window.time[0] + 25
     before = s.time < window.time[0] + 19
@@ -160,12 +165,12 @@ def test_a_restart_divides_the_record(stated, flight, window, budget):
     assert np.isfinite(s.sd[:, :15]).all()
     # Half a record tells less: the heading of its last second is known as from twenty seconds, not from
     # forty.
-    whole = smooth(time, dtheta_b, dv_b, q_nb, fixes, *budget)
+    whole = smooth(given(time, dtheta_b, dv_b, q_nb, fixes, *budget))
     assert (s.sd[before, 8] > 1.1 * whole.sd[before, 8]).all()
 
 
 def test_no_fix_no_state(stated, flight, window, budget):
     record = record_of(stated, flight, window, 0)
-    s = smooth(*record[:4], record[4][:0], *budget)
+    s = smooth(given(*record[:4], record[4][:0], *budget))
     assert s.outcome is RunOutcome.NO_FIX
     assert np.isnan(s.lla).all()

@@ -16,15 +16,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ...sins import attitude, earth
 from ...sins.earth import GravityModel
 from ...sins.error_model import POSITION, VELOCITY
-from ...sins.imu import ImuErrors
 from ...sins.mechanization import NavigationState, mechanize
 from ..estimate import Array, Estimate
-from ..increments import restored
+from ..increments import Record
 from ..reception import Integers
 from .regression import LEAST_ROWS, Bridging, fit
 
@@ -36,24 +34,20 @@ LEAST_OUTPUTS = 4 * LEAST_ROWS
 
 def bridged(
     found: Estimate,
-    time: ArrayLike,
-    dtheta_b: ArrayLike,
-    dv_b: ArrayLike,
+    record: Record,
     gravity: GravityModel,
     outages: Sequence[tuple[float, float]],
     bridging: Bridging,
-    imu: ImuErrors | None = None,
 ) -> Estimate:
     """The estimate of a filter with position, velocity and their deviations of the bridge in outages.
 
-    ``time``, ``dtheta_b``, ``dv_b`` : the record, as `filters.align` takes it. ``outages`` : begin and end,
-    s, of times without valid fixes, in order. ``imu`` : as `increments.restored` takes it. Attitude and all
-    else stay the filter's; so does everything where ``bridging`` is ``coast``, or where the filter has put
-    out fewer than `LEAST_OUTPUTS` before.
+    ``record`` : what the filter was given. ``outages`` : begin and end, s, of times without valid fixes, in
+    order. Attitude and all else stay the filter's; so does everything where ``bridging`` is ``coast``, or
+    where the filter has put out fewer than `LEAST_OUTPUTS` before.
     """
     if bridging == "coast" or not outages:
         return found
-    time, increments, *_ = restored(time, dtheta_b, dv_b, imu, np.inf)
+    time, increments = record.time, record.increments
     lla, v_n, sd, jump = found.lla.copy(), found.v_n.copy(), found.sd.copy(), found.jump.copy()
     since = -np.inf
     for begin, end in outages:

@@ -12,16 +12,14 @@ covariance: standard deviations, NIS and gates there are none, and whatever fix 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ...network.fixes import Fixes
-from ...sins.earth import GravityModel
 from ...sins.imu import ImuErrors
 from ..estimate import Estimate, FixOutcome, NavStatus, RunOutcome
 from ..filters import align
+from ..inputs import AlignmentInput
 from ..problem import pose, status_of, to_the_end, unaligned
 from ..reception import Integers, Reception
-from ..settings import DelayModel, FilterSettings
+from ..settings import DelayModel
 from . import _observer_kernel
 from .design import Design, Kind, design
 from .plant import Array
@@ -72,25 +70,15 @@ def gain_schedule(
     )
 
 
-def align_lmi(
-    time: ArrayLike,
-    dtheta_b: ArrayLike,
-    dv_b: ArrayLike,
-    q_nb_coarse: ArrayLike,
-    fixes: Fixes,
-    schedule: GainSchedule,
-    settings: FilterSettings,
-    gravity: GravityModel,
-) -> Estimate:
-    """Align over one record with given gains; parameters as for `filters.align`.
+def align_lmi(given: AlignmentInput, schedule: GainSchedule) -> Estimate:
+    """Align over one record with given gains.
 
-    Of ``settings`` only ``output_rate_hz`` and ``acceleration_window_s`` count. The first fix sets position
-    and velocity. Of one source, a packet that was overtaken is left out. Biases, delay and lever arm of the
-    result are zero; ``sd``, ``misalignment_cov`` and ``nis`` are NaN. Raises ValueError as `filters.align`.
+    Of the settings only ``output_rate_hz``, ``acceleration_window_s``, ``dead_reckoning_after_s`` and
+    ``imu_patience_s`` count. The first fix sets position and velocity. Of one source, a packet that was
+    overtaken is left out. Biases, delay and lever arm of the result are zero; ``sd``, ``misalignment_cov``
+    and ``nis`` are NaN.
     """
-    problem = pose(
-        time, dtheta_b, dv_b, q_nb_coarse, fixes, DelayModel.IGNORED, settings, ImuErrors(), gravity
-    )
+    problem, settings = pose(given, DelayModel.IGNORED), given.settings
     reception, n = problem.reception, len(problem.time)
     outcome = _in_order(problem.outcome, reception, n)
     taken = np.flatnonzero(outcome == FixOutcome.FUSED)
@@ -164,26 +152,14 @@ def _in_order(outcome: Integers, reception: Reception, n: int) -> Integers:
     return outcome
 
 
-def ekf_ten(
-    time: ArrayLike,
-    dtheta_b: ArrayLike,
-    dv_b: ArrayLike,
-    q_nb_coarse: ArrayLike,
-    fixes: Fixes,
-    settings: FilterSettings,
-    imu: ImuErrors,
-    gravity: GravityModel,
-    held_s: float = 0.1,
-) -> Estimate:
-    """The EKF on the ten states: parameters as for `filters.align`, delay ignored, biases white.
+def ekf_ten(given: AlignmentInput, held_s: float = 0.1) -> Estimate:
+    """The EKF on the ten states: delay ignored, biases white.
 
     The tenth, the error of the quaternion's norm, is zero in a navigator that normalises; the filter of the
     project without its bias states is what is left. ``held_s`` : a bias counts as noise that is drawn anew
     after so many seconds, as in the design of `align_lmi` from fix to fix.
     """
-    return align(
-        time, dtheta_b, dv_b, q_nb_coarse, fixes, DelayModel.IGNORED, settings, white(imu, held_s), gravity
-    )
+    return align(replace(given, imu=white(given.imu, held_s)), DelayModel.IGNORED)
 
 
 def white(imu: ImuErrors, held_s: float) -> ImuErrors:

@@ -1,19 +1,22 @@
 """Some runs of one point, as rows of a Parquet file: the same bytes wherever they are done."""
 
 import io
+from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from ...aircraft.cache import cached_flight
 from ...aircraft.flight import Flight
 from ...aircraft.mission import FlightPlan
-from ..run import alignment_window, simulate
+from ...align.estimate import Array, Estimate
+from ..run import Run, alignment_window, simulate
 from ..scenario import Scenario
-from ..score import COLUMNS, Scorer
+from ..score import COLUMNS, SCORED, Scorer
 from .incidents import FIELDS, incidents
 from .plan import Shard
 
@@ -50,19 +53,29 @@ def shard_rows(scenario: Scenario, shard: Shard) -> list[dict[str, Any]]:
     """Rows of `SCHEMA`, by run and then by filter."""
     try:
         flight = _flight(scenario.flight.model_dump_json())
-        alignment_window(scenario, flight)
+        window = alignment_window(scenario, flight)
     # No flight, whatever the reason, is no end of a campaign.
     except Exception as error:
         runs = range(shard.first_run, shard.first_run + shard.runs)
         return [row for run in runs for row in failed_rows(scenario, shard.point, run, _told(error))]
-    rows: list[dict[str, Any]] = []
+    done: dict[int, _Done] = {}
+    rows: dict[int, list[dict[str, Any]]] = {}
     for run_id in range(shard.first_run, shard.first_run + shard.runs):
         try:
-            rows += _run_rows(scenario, flight, shard.point, run_id)
+            done[run_id] = _Done.of(simulate(scenario, flight, run_id, scenario.seed), scenario)
         # A campaign outlives whatever one of its runs comes to; the reason is kept with its type.
         except Exception as error:
-            rows += failed_rows(scenario, shard.point, run_id, _told(error))
-    return rows
+            rows[run_id] = failed_rows(scenario, shard.point, run_id, _told(error))
+    try:
+        rows |= _rows(scenario, window, shard.point, list(done.values()))
+    # One of them, or histories of several lengths: each alone, and who is to blame shows.
+    except Exception:
+        for run_id, one in done.items():
+            try:
+                rows |= _rows(scenario, window, shard.point, [one])
+            except Exception as error:
+                rows[run_id] = failed_rows(scenario, shard.point, run_id, _told(error))
+    return [row for _, of_run in sorted(rows.items()) for row in of_run]
 
 
 def failed_rows(scenario: Scenario, point: int, run_id: int, reason: str) -> list[dict[str, Any]]:
@@ -89,33 +102,65 @@ def _told(error: Exception) -> str:
     return f"{type(error).__name__}: {first}".removesuffix(": ")
 
 
-def _run_rows(scenario: Scenario, flight: Flight, point: int, run_id: int) -> list[dict[str, Any]]:
-    window = alignment_window(scenario, flight)
-    run = simulate(scenario, flight, run_id, scenario.seed)
+class _Done(NamedTuple):
+    """A run with those rows of its histories that are kept, and the last; and what befell its filters."""
+
+    run: Run
+    befell: dict[str, dict[str, Any]]
+
+    @classmethod
+    def of(cls, run: Run, scenario: Scenario) -> "_Done":
+        rate_hz = scenario.alignment.settings.output_rate_hz
+        befell = {name: incidents(run, found, rate_hz) for name, found in run.estimates.items()}
+        time = next(iter(run.estimates.values())).time
+        rows = np.flatnonzero(np.append(_whole(time[:-1] - run.imu.time[0]), True))
+        thin = {name: _thinned(found, rows) for name, found in run.estimates.items()}
+        return cls(replace(run, estimates=thin), befell)
+
+
+def _thinned(found: Estimate, rows: NDArray[np.intp]) -> Estimate:
+    return replace(found, **{name: getattr(found, name).take(rows, axis=0) for name in SCORED})
+
+
+def _whole(since: Array) -> NDArray[np.bool_]:
+    """Of times, s from the start of the alignment, those whose histories are kept."""
+    return np.round(since * CURVE_HZ, 6) % 1 == 0
+
+
+def _rows(
+    scenario: Scenario, window: Flight, point: int, done: list[_Done]
+) -> dict[int, list[dict[str, Any]]]:
+    """Rows of runs, by their ids."""
+    if not done:
+        return {}
     scorer = Scorer(window, scenario.alignment.filters)
-    scorer.add(run)
-    rows = []
+    scorer.add(*(one.run for one in done))
+    rows: dict[int, list[dict[str, Any]]] = {one.run.run_id: [] for one in done}
     for name, score in scorer.scores().items():
-        errors = score.errors[0]
-        end = errors[-1] if score.failures.get(run_id) not in ("no_fix", "no_coarse") else np.full(5, np.nan)
-        whole = np.round(score.time * CURVE_HZ, 6) % 1 == 0
-        level = np.sqrt(np.mean(errors[whole, :2] ** 2, axis=1))
-        row = {
-            "point": point,
-            "run": run_id,
-            "filter": name,
-            "failure": score.failures.get(run_id),
-            **{column: _known(value) for column, value in zip(COLUMNS, end, strict=True)},
-            "nees": _known(score.nees[0, -1]),
-            "nis": _known(score.nis[0]),
-            "fused": int(score.fused[0]),
-            "fixes": len(run.fixes),
-            **incidents(run, run.estimates[name], scenario.alignment.settings.output_rate_hz),
-            "history_time_s": score.time[whole].tolist(),
-            "level_history_arcsec": level.tolist(),
-            "heading_history_arcmin": np.abs(errors[whole, 2]).tolist(),
-        }
-        rows.append(row)
+        whole = _whole(score.time)
+        times = score.time[whole].tolist()
+        level = np.sqrt(np.mean(score.errors[:, whole, :2] ** 2, axis=2))
+        heading = np.abs(score.errors[:, whole, 2])
+        for i, (run, befell) in enumerate(done):
+            failure = score.failures.get(run.run_id)
+            end = score.errors[i, -1] if failure not in ("no_fix", "no_coarse") else np.full(5, np.nan)
+            rows[run.run_id].append(
+                {
+                    "point": point,
+                    "run": run.run_id,
+                    "filter": name,
+                    "failure": failure,
+                    **{column: _known(value) for column, value in zip(COLUMNS, end, strict=True)},
+                    "nees": _known(score.nees[i, -1]),
+                    "nis": _known(score.nis[i]),
+                    "fused": int(score.fused[i]),
+                    "fixes": len(run.fixes),
+                    **befell[name],
+                    "history_time_s": times,
+                    "level_history_arcsec": level[i].tolist(),
+                    "heading_history_arcmin": heading[i].tolist(),
+                }
+            )
     return rows
 
 
