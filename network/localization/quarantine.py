@@ -60,6 +60,8 @@ class Monitor:
         tests = 2 * len(windows) * 3600 * rate_hz
         self.limits = Limits(tuple(windows), settings.false_alarms_per_hour / tests, constant_share)
         self._pairs = np.zeros(n * (n - 1) // 2, np.bool_)
+        nothing = np.zeros(0)
+        self._known = -np.inf, np.zeros(0, np.bool_), nothing, (nothing, nothing)
         self._forget()
 
     @property
@@ -99,7 +101,7 @@ class Monitor:
         self._shifts = np.concatenate([self._shifts.reshape(-1, *seen.states.shape[1:]), gradients(seen)])
         self._biases = np.concatenate([self._biases.reshape(-1, len(self.anchor)), biases(seen)])
         new, windows = len(seen.t), self.limits.windows
-        cov = _covariances(seen)
+        cov = self._covariances_of(seen)
         spread = np.sqrt(np.einsum("naa->na", cov[0][seen.started])[:, :3].sum(axis=1))
         if np.mean(spread < KNOWN_M) < 0.9:
             # A fleet that is taken apart judges nobody.
@@ -126,6 +128,15 @@ class Monitor:
             judged &= ~self.anchor | (self.reason == QuarantineReason.BELIEF)
         judged[OWN_SHIP] = False
         return judged
+
+    def _covariances_of(self, seen: Evidence) -> tuple[Array, Array]:
+        """Of the first of the epochs, or of some before: for so long the windows take them for constant."""
+        valid_until_s, started, w_prior, cov = self._known
+        same = np.array_equal(started, seen.started) and np.array_equal(w_prior, seen.terms.w_prior)
+        if not same or seen.t[0] >= valid_until_s or not len(self._shifts) > len(seen.t):
+            cov = _covariances(seen)
+            self._known = seen.t[0] + WINDOWS_S[-1] - 1e-6, seen.started, seen.terms.w_prior, cov
+        return cov
 
     def _note_suspects(self, seen: Evidence) -> None:
         """Anchors that the start left out: the tracker asks them back once they are beyond suspicion."""
