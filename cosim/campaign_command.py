@@ -27,7 +27,7 @@ def campaign(
     as_json: AsJson = False,
 ) -> None:
     """Do many runs over axes of a scenario's settings; what is done is kept, whatever happens."""
-    from .campaign.cluster import on_cluster
+    from .campaign.cluster import check_cluster, on_cluster
     from .campaign.engine import locally, run_campaign
     from .campaign.ledger import Ledger
     from .campaign.plan import load_campaign
@@ -36,8 +36,10 @@ def campaign(
     if scheduler is not None and workers is not None:
         raise InputError("--workers: not beside --scheduler, whose workers are its own")
     plan = load_campaign(file)
-    folder, silent = output_folder(out or Path(f"fleetalign-campaign-{file.stem}")), quiet or as_json
     dask = scheduler is not None or workers is not None
+    if dask:
+        check_cluster(scheduler)
+    folder, silent = output_folder(out or Path(f"fleetalign-campaign-{file.stem}")), quiet or as_json
     done_by = partial(on_cluster, scheduler=scheduler, workers=workers) if dask else locally
     total = plan.settings.runs * len(plan.coordinates)
     ledger: Ledger | None = None

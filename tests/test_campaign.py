@@ -98,6 +98,7 @@ def test_a_latin_hypercube_has_a_point_in_each_slice_and_is_the_same_again(file)
         (("five.toml", "six.toml"), "six.toml"),
         (("seed = 7", "seed = 7\ncolour = 1"), "colour: unknown field"),
         (("title", "= title"), "not TOML"),
+        (('axes."fixes.velocity_sd_mps"', 'axes.""'), "axes: '': no field's dotted name"),
         (
             ("seed = 7", 'seed = 7\nfilters = ["ekf", "nope"]'),
             "campaign.toml: filters = ['ekf', 'nope']: no filter 'nope'; known: ekf, ",
@@ -387,6 +388,15 @@ def test_where_there_are_no_locks_there_is_a_warning(file, tmp_path, monkeypatch
     monkeypatch.setattr("fcntl.flock", unable)
     with pytest.warns(UserWarning, match="no lock: No locks available"):
         Ledger(tmp_path / "out", load_campaign(file), resume=False).close()
+
+
+def test_a_scheduler_that_does_not_answer_leaves_nothing(command, file, tmp_path):
+    folder = tmp_path / "out"
+    status, out, err = command("campaign", file, "--out", folder, "--scheduler", "nowhere")
+    assert (status, out) == (2, "")
+    assert "--scheduler nowhere: does not answer" in err
+    assert len(err.splitlines()) == 1
+    assert not folder.exists()
 
 
 def test_no_campaign_has_no_report(command, tmp_path):

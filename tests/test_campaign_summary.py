@@ -1,10 +1,11 @@
 """What a campaign's rows come to: errors, reasons, histories and the runs that are named."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from fleetalign.cosim.campaign import summary
+from fleetalign.cosim.campaign import figures, summary
 from fleetalign.cosim.campaign.incidents import NAMES
 from fleetalign.cosim.score import COLUMNS
 
@@ -78,6 +79,32 @@ def test_a_point_has_means_and_the_greatest_jump():
     found = score(rows).befell
     assert (found["gated"], found["largest_jump_sd"]) == (4.0, 7.5)
     assert np.isnan(found["late"])
+
+
+@pytest.mark.parametrize(("others", "joined"), [(2, True), (7, False)])
+def test_points_are_joined_that_are_alike_on_the_other_axes(others, joined):
+    """Three values of one axis and some of another; where these are many, a line through medians."""
+    coordinates = [{"a": a, "b": b} for a in (1.0, 10.0, 100.0) for b in range(others)]
+    names = "ekf_stamped", "l2linf"
+    scores = [
+        replace(score([row(1, errors=[p["a"] + p["b"]] * 5)]), point=i, filter=name)
+        for i, p in enumerate(coordinates)
+        for name in names
+    ]
+    axes = {"a": {"kind": "range", "log": True}, "b": {"kind": "values"}}
+    plan = {"title": "T", "settings": {"axes": axes}, "coordinates": coordinates}
+    figure = figures._along(summary.CampaignSummary(plan, scores, []), "a")
+    ax = figure.axes[1]  # of the heading
+    lines = [line for line in ax.get_lines() if len(line.get_xdata()) == 3 and line.get_linestyle() == "-"]
+    assert len(lines) == (others if joined else 1) * len(names)
+    expected = [[a + b for a in (1.0, 10.0, 100.0)] for b in (range(others) if joined else [others // 2])]
+    for number in range(len(names)):
+        mine = lines[number * len(expected) : (number + 1) * len(expected)]
+        np.testing.assert_allclose([line.get_ydata() for line in mine], expected)
+    assert ax.get_xscale() == "log"
+    assert [text.get_text() for text in ax.texts] == ([str(b) for b in range(others)] if joined else [])
+    # Dots of two filters stand beside each other.
+    assert not np.isclose(lines[0].get_xdata(), lines[-1].get_xdata(), rtol=1e-3).any()
 
 
 class Rows(list):

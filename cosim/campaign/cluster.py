@@ -14,6 +14,13 @@ IN_WORK = 3
 """Shards for each worker: one in work, and what it takes next while its result travels."""
 
 
+def check_cluster(scheduler: str | None) -> None:
+    """Raise `InputError` where `distributed` is not installed or the scheduler does not answer."""
+    _distributed()
+    if scheduler is not None:
+        _client(scheduler).close()
+
+
 def on_cluster(
     campaign: Campaign, shards: list[Shard], scheduler: str | None = None, workers: int | None = None
 ) -> Iterator[tuple[Shard, bytes]]:
@@ -26,10 +33,7 @@ def on_cluster(
 
     Raises `InputError` where `distributed` is not installed or the scheduler does not answer.
     """
-    try:
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        raise InputError("--scheduler, --workers: need the extra: pip install fleetalign[cluster]") from error
+    Client, LocalCluster = _distributed()
     if scheduler is None:
         # Ctrl-C is for the main process: its children inherit that they are to ignore it.
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -38,7 +42,7 @@ def on_cluster(
                 n_workers=workers,
                 threads_per_worker=1,
                 host=LOCALHOST,
-                dashboard_address=None,  # pyright: ignore[reportArgumentType]
+                dashboard_address=None,
                 scheduler_port=0,
             )
         finally:
@@ -46,12 +50,23 @@ def on_cluster(
         with cluster, closing(Client(cluster)) as client:
             yield from _completed(client, campaign, shards)
         return
+    with closing(_client(scheduler)) as client:
+        yield from _completed(client, campaign, shards)
+
+
+def _distributed() -> tuple[Any, Any]:
     try:
-        client = Client(scheduler, timeout="10s")
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise InputError("--scheduler, --workers: need the extra: pip install fleetalign[cluster]") from error
+    return Client, LocalCluster
+
+
+def _client(scheduler: str) -> Any:
+    try:
+        return _distributed()[0](scheduler, timeout="10s")
     except (OSError, ValueError) as error:
         raise InputError(f"--scheduler {scheduler}: does not answer: {error}") from error
-    with closing(client):
-        yield from _completed(client, campaign, shards)
 
 
 def _completed(client: Any, campaign: Campaign, shards: list[Shard]) -> Iterator[tuple[Shard, bytes]]:

@@ -8,11 +8,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from ...align.estimate import Array
 from ..drawing import STYLE, legend, log_scale, panels, svg
 from ..palette import filter_color
 from .summary import CampaignSummary, PointScore
 
 UNITS = {"level": "arcsec", "heading": "arcmin", "velocity": "m/s"}
+_MOST_LINES = 6
+"""Of one filter along an axis."""
 _MOST_CURVES = 40
 """Points whose convergence is drawn: more of them would be a blot."""
 
@@ -26,28 +29,63 @@ def draw_campaign(summary: CampaignSummary) -> dict[str, str]:
 
 
 def _along(summary: CampaignSummary, axis: str) -> Figure:
-    """RMS over one axis: a dot with its interval for each point, a line through medians of equal values."""
+    """RMS over one axis: a dot with its interval for each point, and a line through the points that are alike
+    on the other axes; where these are too many for that, through medians of equal values."""
     figure, (row,) = panels(1, len(UNITS), 3.4)
-    values = [point[axis] for point in summary.plan["coordinates"]]
+    coordinates = summary.plan["coordinates"]
+    values = [point[axis] for point in coordinates]
     ordered = not any(isinstance(value, str | bool) for value in values)
     names = sorted({str(value) for value in values})
-    place = {p: float(v) if ordered else float(names.index(str(v))) for p, v in enumerate(values)}
+    place = np.array([float(v) if ordered else float(names.index(str(v))) for v in values])
+    log = bool(summary.plan["settings"]["axes"][axis].get("log"))
+    others = [
+        ", ".join(short(value) for name, value in point.items() if name != axis) for point in coordinates
+    ]
+    lines = list(dict.fromkeys(others))
+    lines = lines if len(lines) <= min(_MOST_LINES, len(others) // 2) else []
+    filters = _by_filter(summary)
     for ax, (group, unit) in zip(row, UNITS.items(), strict=True):
-        for name, scores in _by_filter(summary).items():
-            x = np.array([place[s.point] for s in scores])
+        for number, (name, scores) in enumerate(filters.items()):
+            points = [s.point for s in scores]
+            x = _aside(place, number - (len(filters) - 1) / 2, log)[points]
             y, low, high = np.array([s.rms[group] for s in scores]).T
             reach = np.nan_to_num(np.vstack([y - low, high - y]))
             look = {"linestyle": "none", "marker": "o", "markersize": 3.5, "color": filter_color(name)}
             ax.errorbar(x, y, yerr=np.maximum(reach, 0), elinewidth=0.8, **look)
-            centres = sorted(set(x))
-            medians = [np.nanmedian(y[x == c]) if np.isfinite(y[x == c]).any() else np.nan for c in centres]
-            ax.plot(centres, medians, color=filter_color(name), linewidth=1.2, label=name)
+            ax.plot([], color=filter_color(name), linewidth=1.2, label=name)
+            if lines:
+                for line in lines:
+                    mine = np.array([others[point] == line for point in points])
+                    order = np.argsort(x[mine])
+                    at, rms = x[mine][order], y[mine][order]
+                    ax.plot(at, rms, color=filter_color(name), linewidth=0.9, alpha=0.8)
+                    if number == 0 and line and len(at) and np.isfinite(rms[-1]):
+                        ax.annotate(line, (at[-1], rms[-1]), (4, 4), textcoords="offset points", fontsize=7)
+            else:
+                centres = sorted(set(x))
+                known = [y[(x == c) & np.isfinite(y)] for c in centres]
+                medians = [np.median(some) if len(some) else np.nan for some in known]
+                ax.plot(centres, medians, color=filter_color(name), linewidth=1.2)
         ax.set(xlabel=axis, ylabel=f"{group}, {unit}")
+        if log:
+            ax.set_xscale("log")
         if not ordered:
             ax.set_xticks(range(len(names)), names)
         log_scale(ax)
     legend(figure, row[0])
     return figure
+
+
+def _aside(place: Array, by: float, log: bool) -> Array:
+    """Places a little aside, so that one filter's dots do not hide another's."""
+    span = np.log(place) if log else place
+    moved = span + 0.012 * by * (np.ptp(span) or 1.0)
+    return np.exp(moved) if log else moved
+
+
+def short(value: Any) -> str:
+    """A coordinate as a reader needs it."""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _convergence(summary: CampaignSummary) -> Figure:

@@ -101,6 +101,8 @@ class CampaignFile(Settings):
     @classmethod
     def _no_files(cls, axes: dict[str, Axis]) -> dict[str, Axis]:
         for name in axes:
+            if not all(name.split(".")):
+                raise ValueError(f"{shortened(printable(name))!r}: no field's dotted name")
             if name in ("runs", "seed", "title", "variants"):
                 raise ValueError(f"{name}: no axis, but the same at all points")
             if name.rpartition(".")[2] == "file":

@@ -14,7 +14,7 @@ from ..outputs import write_json
 from ..pages import number, write_page
 from ..scenario import Scenario, replaced
 from ..scenario_file import write_scenario
-from .figures import draw_campaign
+from .figures import draw_campaign, short
 from .incidents import GREATEST
 from .ledger import POINTS, kept_base
 from .summary import CampaignSummary, summarize
@@ -65,7 +65,7 @@ def write_report(folder: Path, command: str) -> CampaignSummary:
         total=total,
         folder=folder,
         command=command,
-        shown=_shown,
+        shown=short,
     )
     (folder / POINTS).mkdir(exist_ok=True)
     for point, scenario in named.items():
@@ -115,12 +115,8 @@ def campaign_table(summary: CampaignSummary) -> Table:
         figures = [number(score.rms[g][0], d) for g, d in (("level", 1), ("heading", 2), ("velocity", 3))]
         failed = f"{score.failed}/{score.runs}"
         table.add_row(
-            *(_shown(at[name]) for name in axes), score.filter, *figures, number(score.nees, 2), failed
+            *(short(at[name]) for name in axes), score.filter, *figures, number(score.nees, 2), failed
         )
     if len(summary.scores) > _LINES:
         table.caption = f"{len(summary.scores) - _LINES} more lines in the report"
     return table
-
-
-def _shown(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
