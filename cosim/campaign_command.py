@@ -68,7 +68,11 @@ def report(
     """Write the report of a campaign's folder anew, of whatever is done."""
     from .campaign.report import write_report
 
-    summary = write_report(folder, command_as_typed())
+    try:
+        summary = write_report(folder, command_as_typed())
+    except OSError as error:
+        error_console.print(f"{folder}: {error.strerror or error}: no report", soft_wrap=True)
+        raise typer.Exit(1) from error
     _tell(folder, summary, quiet, as_json)
 
 

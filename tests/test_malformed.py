@@ -704,6 +704,52 @@ def test_a_foreign_folder_makes_a_report_read_nowhere_else(rooms):
         assert OUTSIDE in answer.err or "an absolute path" in answer.err
 
 
+@pytest.mark.parametrize("name", ["campaign.lock", "campaign.json", "shards", "points"])
+def test_a_link_in_a_campaigns_folder_is_not_followed(folder, tmp_path, name):
+    kept, outside, out = tmp_path / "kept", tmp_path / "outside", tmp_path / "out"
+    shutil.copytree(folder / "kept", kept)
+    (kept / name).rename(outside)
+    (kept / name).symlink_to(outside)
+    files = sorted(outside.rglob("*")) if outside.is_dir() else [outside]
+    before = [file.read_bytes() for file in files]
+    commands = [("campaign", folder / "campaign.toml", "--resume", "--out", kept)]
+    for command in [*commands, *([("report", kept)] if name != "campaign.lock" else [])]:
+        answer = ask(*command)
+        assert (answer.status, answer.out) == ((1 if name == "campaign.lock" else 2), "")
+        assert answer.err.count("\n") == 1
+        assert (
+            "symbolic links" in answer.err or f"kept/{name}: a link: must be the folder's own" in answer.err
+        )
+    assert (sorted(outside.rglob("*")) if outside.is_dir() else [outside]) == files
+    assert [file.read_bytes() for file in files] == before
+    assert not out.exists()
+
+
+def test_a_shard_that_is_a_link_is_none(folder, tmp_path):
+    kept = tmp_path / "kept"
+    shutil.copytree(folder / "kept", kept)
+    shard = next((kept / "shards").iterdir())
+    shard.rename(tmp_path / shard.name)
+    shard.symlink_to(tmp_path / shard.name)
+    answer = ask("report", kept)
+    assert answer.status == 2
+    assert f"{shard.name}: damaged: a link; " in answer.err
+    assert ask("campaign", folder / "campaign.toml", "--resume", "--out", kept).status == 0
+    assert (tmp_path / shard.name).exists()
+
+
+def test_a_report_that_cannot_be_written_is_a_line(folder, tmp_path, monkeypatch):
+    kept = tmp_path / "kept"
+    shutil.copytree(folder / "kept", kept)
+    (kept / "report.html").mkdir()
+    drawn = dict.fromkeys(("axis_0", "axis_1", "convergence", "nees"), "")
+    monkeypatch.setattr("fleetalign.cosim.campaign.report.draw_campaign", lambda _: drawn)
+    answer = ask("report", kept)
+    assert (answer.status, answer.out) == (1, "")
+    assert answer.err == f"{kept}: Is a directory: no report\n"
+    assert not list(kept.glob("*.partial"))
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [

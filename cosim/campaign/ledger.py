@@ -26,6 +26,7 @@ from .shard import SCHEMA
 POINTS = "points"
 """Folder of the worst runs' scenarios, and of the data that these name."""
 _PLAN = "campaign.json"
+_SHARDS = "shards"
 _MOST_BYTES = 200_000_000
 """Of a plan: as many points as there may be."""
 _HISTORIES = "history_time_s", "level_history_arcsec", "heading_history_arcmin"
@@ -45,7 +46,7 @@ class Ledger:
     """
 
     def __init__(self, folder: Path, campaign: Campaign, resume: bool) -> None:
-        self.folder, self._shards = folder, folder / "shards"
+        self.folder, self._shards = folder, folder / _SHARDS
         folder.mkdir(parents=True, exist_ok=True)
         self._lock = locked(folder)
         try:
@@ -57,6 +58,7 @@ class Ledger:
     def _opened(self, campaign: Campaign, resume: bool) -> set[Shard]:
         """The shards that need not be done again."""
         plan = self.folder / _PLAN
+        _refuse_links(self.folder)
         if plan.is_file():
             kept = read_plan(self.folder)
             if kept.get("digest") != campaign.digest:
@@ -136,6 +138,7 @@ class _Plan(Settings):
 
 def read_plan(folder: Path) -> dict[str, Any]:
     """Content of a campaign's folder's plan. Raises `ScenarioError`."""
+    _refuse_links(folder)
     path = folder / _PLAN
     told = printable(str(path))
     try:
@@ -159,6 +162,13 @@ def read_plan(folder: Path) -> dict[str, Any]:
     return content | {"settings": plan.settings.model_dump(mode="json")}
 
 
+def _refuse_links(folder: Path) -> None:
+    """What a campaign's folder links to is not its own, to be read or written over."""
+    for name in (_PLAN, _SHARDS, POINTS):
+        if (folder / name).is_symlink():
+            raise ScenarioError(f"{printable(str(folder / name))}: a link: must be the folder's own")
+
+
 def kept_base(folder: Path, plan: dict[str, Any]) -> Scenario:
     """The base scenario of a plan that was read, on the folder's own copies of its data."""
     return Scenario.model_validate(plan["base"], context={"folder": folder / POINTS})
@@ -170,7 +180,7 @@ def read_points(folder: Path) -> Iterator[tuple[int, pa.Table]]:  # pyright: ign
     Raises `ScenarioError` for a file that is no whole shard.
     """
     by_point: dict[int, list[Path]] = {}
-    for path in sorted((folder / "shards").glob("*.parquet")):
+    for path in sorted((folder / _SHARDS).glob("*.parquet")):
         by_point.setdefault(_point(path), []).append(path)
     for point, paths in by_point.items():
         yield point, pa.concat_tables([_rows(path, point) for path in paths])
@@ -185,6 +195,8 @@ def _point(path: Path) -> int:
 
 def _rows(path: Path, point: int) -> pa.Table:  # pyright: ignore[reportUnknownParameterType]
     try:
+        if path.is_symlink():
+            raise _damaged(path, "a link")
         with path.open("rb") as file:
             kept = pq.ParquetFile(file)
             if not kept.schema_arrow.equals(SCHEMA):

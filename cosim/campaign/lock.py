@@ -23,7 +23,9 @@ def locked(folder: Path) -> TextIO:
     the file system knows no locks there is a warning, and no lock. Raises `ScenarioError` where another
     process holds it; OSError.
     """
-    file = (folder / _FILE).open("a+", encoding="utf-8", errors="replace")
+    # Not through a link: what it leads to is not the folder's, and would be written over.
+    handle = os.open(folder / _FILE, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+    file = os.fdopen(handle, "r+", encoding="utf-8", errors="replace")
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
