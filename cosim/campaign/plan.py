@@ -11,7 +11,6 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, ValidationError, field_validator, model_validator
-from scipy.stats import qmc
 
 from ...network.tables import inside
 from ...sins.settings import Settings
@@ -219,6 +218,8 @@ def _points(settings: CampaignFile) -> list[dict[str, Any]]:
         ]
         return [dict(zip(names, values, strict=True)) for values in product(*grids)]
     # Drawn from the seed alone, so that the same file is the same campaign.
+    from scipy.stats import qmc  # takes half a second to import
+
     cube = qmc.LatinHypercube(d=len(names), rng=np.random.default_rng(settings.seed)).random(settings.points)
     return [
         {name: _on(axis, float(share)) for name, axis, share in zip(names, axes, row, strict=True)}

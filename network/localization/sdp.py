@@ -2,7 +2,6 @@
 
 import warnings
 
-import cvxpy as cp
 import numpy as np
 
 from .problem import Array, LocalizationError, RangeProblem
@@ -21,6 +20,8 @@ def sdp_start(problem: RangeProblem) -> Array:
 
     Raises `LocalizationError` for more nodes, for unknown clock offsets, and where the solver fails.
     """
+    import cvxpy as cp  # takes half a second to import
+
     n = problem.nodes
     if n > MOST_NODES:
         raise LocalizationError(f"the semidefinite start takes up to {MOST_NODES} nodes; got {n}")
