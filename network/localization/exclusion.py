@@ -88,9 +88,11 @@ class Stand:
         self._limits, n = limits, len(anchor)
         self._windows = [window for window in limits.windows if window <= len(seen.t)]
         C, place = covariance(seen)
-        self.ratio, noise = _variance_ratio(seen, C, place, limits.chance)
+        # What has just begun is seen in the last epoch, what is small in the mean of many.
+        ratios = [_variance_ratio(seen, window, C, place, limits.chance) for window in self._windows]
+        self.ratio = max(ratio for ratio, _ in ratios)
         """Mean square of all ranges' residuals over that which is stated, as far as the fit leaves it."""
-        self.excess = self.ratio - 1 if self.ratio > noise else 0.0
+        self.excess = max(ratio - 1 if ratio > noise else 0.0 for ratio, noise in ratios)
         """Variance of ranges beyond what is stated, over what is stated; 0 where it is no more than noise."""
         squares = np.sum(seen.w_range * range_residuals(seen)[0] ** 2, axis=0)
         of_nodes = np.bincount(seen.terms.links.ravel(), np.repeat(squares, 2), n)
@@ -215,8 +217,11 @@ def _medians(rows: Array) -> Array:
     return 0.5 * (middle[0] + middle[1])
 
 
-def _variance_ratio(seen: Evidence, C: Array, place: Integers, chance: float) -> tuple[float, float]:
-    """Mean square of all ranges' residuals, in variances and over what the fit leaves of 1, and its limit.
+def _variance_ratio(
+    seen: Evidence, window: int, C: Array, place: Integers, chance: float
+) -> tuple[float, float]:
+    """Mean square of all ranges' residuals over the last epochs, in variances and over what the fit leaves of
+    1, and its limit.
 
     Those of the own ship are left to the judgement of its fixes: where its links are blocked, the fleet's
     others still know where they are.
@@ -227,13 +232,13 @@ def _variance_ratio(seen: Evidence, C: Array, place: Integers, chance: float) ->
     u = u[0, pairs]
     if seen.terms.clocks:
         u = np.concatenate([u, np.ones((len(u), 1))], axis=1)
-    a, b, w = place[i[pairs]], place[j[pairs]], seen.w_range[:, pairs]
+    a, b, w = place[i[pairs]], place[j[pairs]], seen.w_range[-window:, pairs]
     D = u.shape[1]
     apart = C[a, :D, a, :D] + C[b, :D, b, :D] - C[a, :D, b, :D] - C[b, :D, a, :D]
     fitted = w.max(axis=0) * np.einsum("ma,mab,mb->m", u, apart, u)
     freedom = float(np.sum((w > 0) * (1 - np.minimum(fitted, 1.0))))
     if freedom < 1:
         return np.inf, 1.0
-    ratio = float(np.sum(w * residual[:, pairs] ** 2)) / freedom
+    ratio = float(np.sum(w * residual[-window:, pairs] ** 2)) / freedom
     noise = max(MARGIN**2, float(chi2.isf(chance, freedom)) / freedom)
     return ratio, noise
