@@ -22,6 +22,7 @@ from ._kernels import (
     PENDING,
     REFUSED,
     STAMPED,
+    TAKEN_AT,
     fill_fix_noise,
     fill_noise,
     kinematics,
@@ -75,11 +76,12 @@ def align(
     initial (10,), initial_sd (n,) : biases, delay and lever arm at the start; standard deviations there,
         n = 16, or 19 if the lever arm is estimated.
     noise_density (n,) : power spectral densities of the white noises on the states.
-    gate : largest NIS to accept. patience : fixes refused in a row before starting again.
-    dead_reckoning_after : s without a fix that was taken.
+    gate : largest NIS to accept.
+    dead_reckoning_after : s without a fix that was taken. patience : fixes refused in a row before starting
+        again, the last of them after that time, unless none was taken since the start.
     horizon : epochs. samples : intervals to average the specific force over.
     output_epoch (m,) : epochs at which to write the outputs, increasing.
-    outputs : tuple of X (m, 21), variances (m, n), misalignment covariance (m, 3, 3), innovation (k, 6),
+    outputs : tuple of X (m, 22), variances (m, n), misalignment covariance (m, 3, 3), innovation (k, 6),
         nis (k,), fix time (k,), fix jump (k,), status (m,) and jump (m,), see `estimate.Estimate`; what is
         not reached keeps what it had.
     memory : new `_memory.working_memory`.
@@ -96,7 +98,7 @@ def align(
     kept, n_applied = len(X_kept), 0
     rooted = False if cubature is None else cubature[0]
     running, now, arriving, output = False, 0, 0, 0
-    t_aided, jump = -math.inf, 0.0
+    t_aided, jump, hopeless = -math.inf, 0.0, False
 
     for k in range(n):
         # Take in what has arrived, each fix at its place in the order of application.
@@ -193,7 +195,12 @@ def align(
                         innovation,
                         cubature,
                     )
-                X[REFUSED] = 0.0 if taken else X[REFUSED] + 1
+                if taken:
+                    # Nothing but the fix of its start was taken: nothing to set against the others.
+                    X[REFUSED], X[TAKEN_AT] = 0.0, -math.inf if starting else time[now]
+                elif X[REFUSED] + 1 < patience or time[now] - X[TAKEN_AT] > dead_reckoning_after:
+                    X[REFUSED] += 1
+                hopeless = hopeless or X[REFUSED] >= patience
                 outcome[f] = (INITIALIZED if starting else FUSED) if taken else GATED
                 for i in range(6):
                     innovation_out[f, i] = innovation[i]
@@ -224,7 +231,9 @@ def align(
         if output < len(output_epoch) and output_epoch[output] == k:
             status_out[output] = NOT_STARTED
             if running:
-                status_out[output] = DEAD_RECKONING if time[k] - t_aided > dead_reckoning_after else AIDED
+                alone = hopeless or time[k] - t_aided > dead_reckoning_after
+                status_out[output] = DEAD_RECKONING if alone else AIDED
+                hopeless = X[REFUSED] >= patience
             jump_out[output] = jump
             jump = 0.0
         if running and output < len(output_epoch) and output_epoch[output] == k:

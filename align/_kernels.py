@@ -1,7 +1,8 @@
 """Compiled closed-loop error-state filter over one record of increments and fixes.
 
-State vector ``X``, shape (21,): lla 0:3, v_n 3:6, q_nb 6:10, accelerometer bias 10:13, gyro bias
-13:16, mean delay 16, lever arm 17:20, number of fixes refused in a row 20. Error state, shape (n,), n = 16:
+State vector ``X``, shape (22,): lla 0:3, v_n 3:6, q_nb 6:10, accelerometer bias 10:13, gyro bias
+13:16, mean delay 16, lever arm 17:20, number of fixes refused in a row 20, time of the
+last fix that was taken since the start 21. Error state, shape (n,), n = 16:
 the fifteen of `sins.error_model` and the delay's error; n = 19 if the lever arm is estimated. The readable
 twins of `kinematics` and `update` stand in `align.measurement` and `sins.gaussian`.
 """
@@ -23,10 +24,10 @@ from ..sins._kernels import (
 )
 from ..sins.earth import EARTH_RATE, gravity, radii_of_curvature, transport_rate_n
 
-N_STATES, N_X = 16, 21
+N_STATES, N_X = 16, 22
 """States at least: those of the lever arm may follow."""
 DELAY, LEVER = 15, 16
-REFUSED = 20
+REFUSED, TAKEN_AT = 20, 21
 IGNORED, STAMPED, ESTIMATED = 0, 1, 2
 PENDING, FUSED, INITIALIZED, GATED, DUPLICATE, LATE, NOT_FINITE, FUTURE = range(8)
 

@@ -81,9 +81,9 @@ def smooth(
     ----------
     fixes : `reception.Reception` of those that it applied, in order. restarts (k,) : which of them,
         but for the first, it started again from.
-    X_kept (n, 21), P_kept (n, n_states, n_states) : its state and covariance at each epoch, before the fixes
+    X_kept (n, 22), P_kept (n, n_states, n_states) : its state and covariance at each epoch, before the fixes
     there.
-    outputs : tuple of X (m, 21), variances (m, n_states), misalignment covariance (m, 3, 3), which are
+    outputs : tuple of X (m, 22), variances (m, n_states), misalignment covariance (m, 3, 3), which are
     filled.
     """
     fix_lla, fix_v_n, fix_cov, t_reference = fixes.lla, fixes.v_n, fixes.cov, fixes.t_reference

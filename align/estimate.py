@@ -68,7 +68,8 @@ class NavStatus(IntEnum):
     NOT_STARTED = 0
     AIDED = 1
     DEAD_RECKONING = 2
-    """No fix was taken for `FilterSettings.dead_reckoning_after_s`: the IMU alone carries on."""
+    """No fix was taken for `FilterSettings.dead_reckoning_after_s`, or so many were refused that the next
+    starts the filter again: the IMU alone carries on."""
     STOPPED = 3
     """After the run was stopped."""
 

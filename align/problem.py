@@ -8,6 +8,7 @@ import numpy as np
 
 from ..sins.units import MILLISECOND
 from . import _alignment_kernel, _cubature_kernel, _memory
+from ._kernels import N_X
 from .consistency import chi_square_quantile
 from .estimate import HISTORIES, Array, Estimate, NavStatus, RunOutcome, SampleOutcome
 from .inputs import AlignmentInput
@@ -92,7 +93,7 @@ def pose(given: AlignmentInput, delay: DelayModel) -> Problem:
 def run(
     problem: Problem, horizon: int, kept: int, transform: Transform = Transform.DERIVATIVES
 ) -> tuple[Estimate, tuple[Array, Array]]:
-    """Run the filter; also state (kept, 21) and covariance (kept, n, n) of the last ``kept`` epochs, each
+    """Run the filter; also state (kept, 22) and covariance (kept, n, n) of the last ``kept`` epochs, each
     before its fixes, at the epoch's number modulo ``kept``."""
     outputs = _outputs(problem)
     states = len(problem.initial_sd)
@@ -146,7 +147,7 @@ def status_of(time: Array, taken: Array, after_s: float) -> Integers:
 
 def _outputs(problem: Problem) -> tuple[Any, ...]:
     m, k, states = len(problem.output_epoch), len(problem.outcome), len(problem.initial_sd)
-    shapes = ((m, 21), (m, states), (m, 3, 3), (k, 6), (k,), (k,), (k,))
+    shapes = ((m, N_X), (m, states), (m, 3, 3), (k, 6), (k,), (k,), (k,))
     unknown = tuple(np.full(shape, np.nan) for shape in shapes)
     return *unknown, np.full(m, NavStatus.STOPPED, np.int64), np.full(m, np.nan)
 
@@ -192,7 +193,7 @@ def to_the_end(problem: Problem, found: Estimate) -> Estimate:
 
 
 def state_columns(X: Array) -> dict[str, Array]:
-    """The fields of an `Estimate` that a state vector, (m, 21), holds."""
+    """The fields of an `Estimate` that state vectors, (m, 22), holds."""
     return {
         "lla": X[:, 0:3],
         "v_n": X[:, 3:6],

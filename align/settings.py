@@ -64,7 +64,9 @@ class FilterSettings(Settings):
     gate_probability: float = Field(default=0.99999, gt=0.5, lt=1)
     """Probability with which a good fix passes the innovation gate."""
     restart_after_gated: int = Field(default=20, ge=2, le=100_000)
-    """So many fixes refused in a row mean that the filter is wrong and not the fixes: it starts again."""
+    """So many fixes refused in a row mean that the filter is wrong and not the fixes: it starts again from
+    the next, though not within `dead_reckoning_after_s` of one that it took after its start. The status says
+    dead reckoning before, or in the row of the restart where outputs are rarer than fixes."""
     dead_reckoning_after_s: float = Field(default=3.0, ge=0.1, le=60)
     """Time without a fix that was taken, after which the status says so."""
     imu_patience_s: float = Field(default=2.0, ge=0.01, le=60)

@@ -20,6 +20,7 @@ import numpy as np
 from ..sins import attitude
 from ..sins.error_model import MISALIGN
 from . import _memory, _smoothing_kernel
+from ._kernels import N_X
 from .estimate import Array, Estimate, FixOutcome, RunOutcome
 from .inputs import AlignmentInput
 from .problem import Problem, pose, run, state_columns, to_the_end
@@ -84,10 +85,10 @@ def _applied(problem: Problem) -> Integers:
 
 
 def _back(problem: Problem, kept: tuple[Array, Array], wanted: Integers) -> tuple[Array, Array, Array]:
-    """Smoothed states (m, 21), variances (m, n) and covariances of misalignment (m, 3, 3) at m wanted
+    """Smoothed states (m, 22), variances (m, n) and covariances of misalignment (m, 3, 3) at m wanted
     epochs."""
     m, states = len(wanted), len(problem.initial_sd)
-    X, variance, misalignment_cov = (np.full(shape, np.nan) for shape in ((m, 21), (m, states), (m, 3, 3)))
+    X, variance, misalignment_cov = (np.full(shape, np.nan) for shape in ((m, N_X), (m, states), (m, 3, 3)))
     applied = _applied(problem)
     restarts = problem.outcome[applied] == FixOutcome.INITIALIZED
     restarts[0] = False

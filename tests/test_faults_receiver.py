@@ -168,6 +168,40 @@ def test_a_restart_is_a_jump_and_is_flagged(stated, flight, window, name):
     assert np.nanmax(clean.jump) < 4  # of 4,000 corrections, one beyond 3.7 is due
 
 
+@pytest.mark.parametrize("name", ["ekf_stamped", "l2linf", "srckf_stamped"])
+def test_who_refuses_all_fixes_says_so_before_he_believes_them(stated, flight, window, name):
+    """Fixes 300 m off: for 2.5 s, longer than `restart_after_gated` fixes take, they do nothing; if they
+    last, the status is that of no fixes, until after 3 s the filter starts again from one."""
+    scenario = with_filters(stated, [name])
+    run, start = simulate(scenario, flight, 0, 1), window.time[0]
+    since = run.fixes.t_valid - start
+    aside = earth.displaced(run.fixes.lla, np.tile([300.0, 0, 0], (len(since), 1)))
+
+    def off_until(end_s):
+        off = ((since > 20) & (since < end_s))[:, None]
+        fixes = replace(run.fixes, lla=np.where(off, aside, run.fixes.lla))
+        found = again(scenario, window, run, fixes, name)
+        north = earth.displacement_n(found.lla, window.lla[np.searchsorted(window.time, found.time - 1e-6)])
+        return found, found.time - start, np.abs(north[:, 0])
+
+    found, time, error = off_until(22.5)
+    assert found.count(FixOutcome.INITIALIZED) == 1
+    assert found.count(FixOutcome.GATED) >= 24
+    assert (found.status[time > 0.2] == NavStatus.AIDED).all()
+    assert error[time > 10].max() < 5
+
+    found, time, error = off_until(np.inf)
+    restart = found.fix_time[found.fix_outcome == FixOutcome.INITIALIZED][1] - start
+    # The last good fix came up to 0.15 s before; the first one refused after 3 s counts, the next starts.
+    assert 22.9 < restart < 23.5
+    assert error[(time > 10) & (time < restart)].max() < 5
+    assert (error[time > restart + 0.2] > 100).all()
+    told = found.status == NavStatus.DEAD_RECKONING
+    assert told[(time > 23.01) & (time < restart)].all()
+    assert told[time < restart].any()
+    assert not told[(time < 22.8) | (time > restart + 0.2)].any()
+
+
 def test_status_is_of_what_arrived_and_not_of_what_was_done_again(stated, flight, window):
     """Fixes of 1 s that arrive 1.9 s late: between, the filter was alone for 1.9 s, whatever it knows now."""
     scenario = with_filters(stated, ["ekf_stamped"])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fleetalign.align.consistency import chi_square_quantile, nees
-from fleetalign.align.estimate import FixOutcome, RunOutcome
+from fleetalign.align.estimate import FixOutcome, NavStatus, RunOutcome
 from fleetalign.align.filters import FILTERS, align
 from fleetalign.align.inputs import AlignmentInput
 from fleetalign.align.reception import counted_from, received
@@ -45,6 +45,11 @@ def test_a_bad_first_fix_is_recovered_from(alone, window, delay, offset_m):
     clean = again(alone, window, run, delay)
     assert estimate.count(FixOutcome.INITIALIZED) == 2
     assert estimate.count(FixOutcome.GATED) == alone.alignment.settings.restart_after_gated
+    # Told before, or in the row of the restart.
+    restart = estimate.fix_time[estimate.fix_outcome == FixOutcome.INITIALIZED][1]
+    (told,) = np.nonzero(estimate.status == NavStatus.DEAD_RECKONING)
+    assert 1 <= len(told) <= 2
+    assert np.abs(estimate.time[told] - restart).max() < 0.2
     error, clean_error = (
         np.linalg.norm(attitude.misalignment(e.q_nb[-1], window.q_nb[-1])) for e in (estimate, clean)
     )
