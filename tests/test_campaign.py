@@ -390,6 +390,31 @@ def test_where_there_are_no_locks_there_is_a_warning(file, tmp_path, monkeypatch
         Ledger(tmp_path / "out", load_campaign(file), resume=False).close()
 
 
+@pytest.mark.parametrize(
+    ("options", "asked"),
+    [
+        ([], []),
+        (["--workers", "3"], [{"scheduler": None, "workers": 3}]),
+        (["--scheduler", "tcp://a:1"], [{"scheduler": "tcp://a:1", "workers": None}]),
+    ],
+)
+def test_options_say_who_does_it(command, file, tmp_path, monkeypatch, undrawn, options, asked):
+    cluster_asked, pool_asked = [], []
+    monkeypatch.setattr(cluster, "check_cluster", lambda scheduler: None)
+    monkeypatch.setattr(cluster, "on_cluster", lambda *_, **how: cluster_asked.append(how) or [])
+    monkeypatch.setattr(engine, "locally", lambda *_: pool_asked.append(True) or [])
+    folder = tmp_path / "out"
+    status, out, _ = command("campaign", file, "--out", folder, "--json", *options)
+    assert status == 0
+    assert json.loads(out)["points"] == []
+    assert cluster_asked == asked
+    assert pool_asked == ([] if asked else [True])
+    assert "10 of 10 runs are not done" in (folder / "report.html").read_text()
+    status, _, err = command("campaign", file, "--workers", "2", "--scheduler", "tcp://a:1")
+    assert status == 2
+    assert "--workers: not beside --scheduler" in err
+
+
 def test_a_scheduler_that_does_not_answer_leaves_nothing(command, file, tmp_path):
     folder = tmp_path / "out"
     status, out, err = command("campaign", file, "--out", folder, "--scheduler", "nowhere")
