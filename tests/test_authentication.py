@@ -100,11 +100,13 @@ def test_forged_and_changed_packets_are_fused_by_no_filter(run, aligned, name):
     alone = aligned(name, fixes[~bad])
     np.testing.assert_array_equal(estimate.lla, alone.lla)
     np.testing.assert_array_equal(estimate.q_nb, alone.q_nb)
-    # Without tags some are taken, or good ones lost to them.
-    open_, intruders = attack(run.fixes, Forgery(share=0.3), Tampering(share=0.3), authentication=None)
+    # Without tags those are taken that a gate lets through, and good ones are lost to them, as copies: 28 to
+    # 116 and 46 to 124.
+    near = Forgery(share=0.3, offset_n_m=(30.0, 0.0, 0.0))
+    open_, intruders = attack(run.fixes, near, authentication=None)
     believed = aligned(name, open_)
-    worse = used(believed, open_, intruders.forged) + believed.count(FixOutcome.DUPLICATE)
-    assert worse > 0
+    assert used(believed, open_, intruders.forged) > 20
+    assert believed.count(FixOutcome.DUPLICATE) > 20
 
 
 @pytest.mark.parametrize("name", FILTERS)
@@ -127,10 +129,11 @@ def test_a_packet_sent_again_while_others_are_silent_is_not_fused(run, aligned, 
     sent = concatenate([run.fixes[~silent], again])
     verified = replace(sent, authentic=genuine(sent, tags(sent, KEYED), KEYED))
     assert used(aligned(name, verified), verified, again.t_arrival) == 0
-    # Numbers and arrivals alone do not tell: it is the age that does. The gate is what is left to a filter.
+    # Numbers and arrivals alone do not tell: it is the age that does. What goes by stamps takes them all for
+    # what they are, late; others are left with their gate.
     outcome = aligned(name, sent).fix_outcome[np.isin(sent.t_arrival, again.t_arrival)]
     assert len(outcome) == 20
-    assert np.isin(outcome, (*USED, FixOutcome.GATED)).all()
+    assert np.isin(outcome, USED if name == "ekf_stamped" else (FixOutcome.GATED,)).all()
 
 
 @pytest.mark.parametrize("name", FILTERS)
