@@ -53,7 +53,7 @@ def own_rms(record, since_s):
 def test_what_is_watched_is_as_large_as_noise_makes_it(path, monkeypatch):
     # Both statistics, in standard deviations, are what limits are laid at.
     beliefs, ranges = [], []
-    of_belief, of_ranges = quarantine._belief_excess, quarantine._range_excess
+    of_belief, of_ranges = quarantine._belief_excess, quarantine.range_excess
 
     def watched_beliefs(*given):
         found = of_belief(*given)
@@ -65,7 +65,7 @@ def test_what_is_watched_is_as_large_as_noise_makes_it(path, monkeypatch):
         return of_ranges(bias)
 
     monkeypatch.setattr(quarantine, "_belief_excess", watched_beliefs)
-    monkeypatch.setattr(quarantine, "_range_excess", watched_ranges)
+    monkeypatch.setattr(quarantine, "range_excess", watched_ranges)
     for run in range(6):
         fly(path, network(), 4.0, run)
     # Six numbers of six anchors: epochs are independent, windows that overlap are not, and what anchors err
@@ -169,6 +169,51 @@ def test_a_clock_that_jumps_matters_one_way_alone(path):
     assert own_rms(loud[0][1], LIE_S) < 1.3 * own_rms(quiet[0][1], LIE_S)
 
 
+def test_many_who_are_off_together_are_no_liars(path):
+    # Half of the fleet has no line of sight: ranges disagree by far more than their noise, and nobody is it.
+    side = {"blocked_side": [{"links": "all", "start_s": LIE_S}]}
+    disturbed = []
+    for run in range(4):
+        _, record = fly(path, network(faults=side), 5.0, run)
+        # To stand back when nodes are started is another judgement, of one epoch and until the next start.
+        assert set(record.faults.quarantined_for) <= {QuarantineReason.NONE, QuarantineReason.START}
+        disturbed.append(len(record.faults.disturbed_s))
+        assert (record.faults.disturbed_s >= START_S + LIE_S).all()
+    assert sum(disturbed) > 20
+    _, quiet = fly(path, network(), 5.0)
+    assert len(quiet.faults.disturbed_s) == 0
+
+
+def test_who_was_left_out_without_cause_is_asked_back(path):
+    # Two lie alike, and one honest anchor was taken for a liar before: with them out, it agrees with all.
+    lie = {"kind": "offset", "anchor_share": 0.34}
+    _, record = fly(path, network([lie]), 4.0)
+    told = record.faults
+    seen = survey_evidence(path, network([lie]), 4.0)
+    liars = set(np.flatnonzero(np.isfinite(told.lying_s)).tolist())
+    honest = next(i for i in np.flatnonzero(record.anchor).tolist() if i not in liars)
+    for believed_not in (set(), {honest}, liars):
+        stand = seen(believed_not)
+        assert stand.to_disbelieve(0.0, 2) == (liars, True)
+    assert stand.excess == 0.0
+
+
+def survey_evidence(path, settings, seconds):
+    """Makes the `Stand` of a fleet at the end, its tracker having disbelieved some from the start on."""
+    kept = []
+
+    class Kept(survey.WatchedTracker):
+        def _tried(self, past, *who):
+            kept.append((self, past))
+            return super()._tried(past, *who)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(survey, "WatchedTracker", Kept)
+        fly(path, settings, seconds)
+    watcher, past = kept[0]
+    return lambda who: watcher._tried(past, who, ())
+
+
 def test_the_watch_goes_on_from_segment_to_segment(path, monkeypatch):
     lies = [{"kind": "ramp", "anchors": 1}, {"kind": "ranges", "others": 1}]
     long_, _ = fly(path, network(lies), 12.0)
@@ -192,11 +237,21 @@ def test_the_watch_goes_on_from_segment_to_segment(path, monkeypatch):
 def test_fewer_than_half_are_left_out():
     anchor = np.arange(12) < 7
     monitor = Monitor(quarantine.QuarantineSettings(), anchor, 10.0)
-    assert monitor._windows == [1, 10, 30]
-    monitor.reason[[1, 2, 3]] = QuarantineReason.BELIEF
-    assert not monitor.may_leave_out_an_anchor
-    monitor.reason[3] = QuarantineReason.NONE
-    assert monitor.may_leave_out_an_anchor
+    assert monitor.limits.windows == (1, 10, 30)
+    assert monitor.may_disbelieve([]) == 3
+    # Those whose ranges are not used count, if they are anchors.
+    assert monitor.may_disbelieve([2, 9]) == 2
+    assert monitor.may_disbelieve([0, 1, 2, 3, 4]) == 0
+    # Once no more may be, no anchor's ranges are judged but of those who are not believed.
+    monitor.leave_out([4, 5], [1], 3.0)
+    assert np.flatnonzero(monitor.judged([1])).tolist() == [2, 3, 4, 5, 6, 7, 8, 9, 10, 11]
+    monitor.leave_out([4, 5], [1, 2, 3], 4.0)
+    assert np.flatnonzero(monitor.judged([1, 2, 3])).tolist() == [4, 5, 7, 8, 9, 10, 11]
+    # Who is no longer among those left out is asked back.
+    monitor.leave_out([5], [1, 2, 3], 5.0)
+    assert monitor.left_out(QuarantineReason.BELIEF) == {5}
+    assert np.isnan(monitor.since_s[4])
+    assert monitor.since_s[[1, 2, 5]].tolist() == [3.0, 4.0, 3.0]
 
 
 def test_a_distributed_solver_is_not_watched(gao2009):
