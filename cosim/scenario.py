@@ -24,10 +24,11 @@ from ..sins.imu import ImuErrors
 from ..sins.imu_faults import ImuFault
 from ..sins.settings import Settings
 from ..sins.text import printable
+from .dotted import set_field
 from .mistakes import told_mistakes
 from .published import Paper
 from .sizes import check_sizes
-from .toml import field_name, read_named
+from .toml import read_named
 
 SCENARIO_FOLDER = resources.files("fleetalign.scenarios")
 
@@ -273,7 +274,8 @@ def is_paper(content: dict[str, Any]) -> bool:
 
 
 def replaced(scenario: Scenario, changes: dict[str, Any], origin: str = "change") -> Scenario:
-    """The scenario with other values for fields given by their dotted names, e.g. ``"imu.vibration_mps"``.
+    """The scenario with other values for fields given by their dotted names, e.g. ``"imu.vibration_mps"``
+    or ``"outages.0.start_s"``.
 
     Raises `ScenarioError` like `load_scenario`; ``origin`` stands in the place of the file.
     """
@@ -283,13 +285,10 @@ def replaced(scenario: Scenario, changes: dict[str, Any], origin: str = "change"
         for table in data_tables(content):
             table["file"] = str(Path(table["file"]).relative_to(scenario._folder.resolve()))
     for name, value in changes.items():
-        *path, last = name.split(".")
-        table = content
-        for part in path:
-            table = table.get(part)
-            if not isinstance(table, dict):
-                raise ScenarioError(f"{origin}: {field_name([name])}: unknown field")
-        table[last] = value
+        try:
+            set_field(content, name, value)
+        except ValueError as error:
+            raise ScenarioError(f"{origin}: {error}") from error
     return _validated(origin, content, {"folder": scenario._folder})
 
 

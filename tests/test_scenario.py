@@ -150,6 +150,66 @@ def test_replaced_checks_like_a_file(gao2009):
         replaced(gao2009, {"imu.nothing.more": 1})
 
 
+LISTS = """
+outages = [{ start_s = 2.0, duration_s = 1.0 }, { start_s = 8.0, duration_s = 1.0 }]
+[faults]
+imu = [{ kind = "nan", start_s = 1.0 }]
+[flight]
+s_start_s = 300
+failures = [{ kind = "engine_out", time_s = 8.0 }]
+[fixes]
+kind = "network"
+[fixes.faults]
+lies = [{ kind = "ramp", nodes = [1], start_s = 3.0 }]
+[variants.later]
+"outages.1.start_s" = 9.0
+"faults.imu.0" = { kind = "infinity", start_s = 4.0 }
+"""
+
+
+def test_dotted_names_reach_into_lists(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD + LISTS, "utf-8")
+    scenario = load_scenario(str(path))[1]
+    names = ("faults.imu.0.start_s", "fixes.faults.lies.0.start_s", "outages.0.duration_s")
+    changed = replaced(scenario, dict.fromkeys((*names, "flight.failures.0.time_s"), 1.5))
+    assert changed.faults.imu[0].start_s == 1.5
+    assert changed.fixes.faults.lies[0].start_s == 1.5
+    assert [outage.duration_s for outage in changed.outages] == [1.5, 1.0]
+    assert changed.flight.failures[0].time_s == 1.5
+    later = scenario.variant("later")
+    assert [outage.start_s for outage in later.outages] == [2.0, 9.0]
+    assert (later.faults.imu[0].kind, later.faults.imu[0].start_s) == ("infinity", 4.0)
+    assert scenario.outages[1].start_s == 8.0
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("outages.2.start_s", "outages.2.start_s: outages has entries 0 to 1, and not 2"),
+        ("outages.2", "outages.2: outages has entries 0 to 1, and not 2"),
+        ("outages.-1.start_s", "outages.-1.start_s: outages has entries 0 to 1, and not -1"),
+        ("outages.01.start_s", "outages.01.start_s: outages has entries 0 to 1, and not 01"),
+        ("outages.first.start_s", "outages.first.start_s: outages has entries 0 to 1, and not first"),
+        ("outages.\u0661.start_s", "outages.\u0661.start_s: outages has entries 0 to 1, and not \u0661"),
+        ("faults.imu.1.start_s", "faults.imu.1.start_s: faults.imu has entry 0, and not 1"),
+        (
+            "flight.air.gusts.0.start_s",
+            "flight.air.gusts.0.start_s: flight.air.gusts has no entry, and not 0",
+        ),
+        ("outages.0.start_s.0", "outages.0.start_s.0: unknown field"),
+        ("outages.0.nothing", "outages.0.nothing: unknown field"),
+        ("imu.0", "imu.0: unknown field"),
+    ],
+)
+def test_dotted_names_that_reach_nothing_are_told_in_a_line(tmp_path, name, told):
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD + LISTS, "utf-8")
+    with pytest.raises(ScenarioError) as caught:
+        replaced(load_scenario(str(path))[1], {name: 1.0}, "point 3")
+    assert str(caught.value) == f"point 3: {told}"
+
+
 def test_digest_depends_on_content_alone(gao2009):
     assert gao2009.digest == load_scenario("gao2009")[1].digest
     assert gao2009.digest != replaced(gao2009, {"seed": 2}).digest
