@@ -23,7 +23,6 @@ def fault_rows(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _line(name: str, row: Mapping[str, Any]) -> dict[str, Any]:
     outage = row["outages"][0] if row["outages"] else {}
-    band, nees = outage.get("nees_band95"), outage.get("nees")
     return {
         "name": name,
         "color": filter_color(name),
@@ -31,10 +30,9 @@ def _line(name: str, row: Mapping[str, Any]) -> dict[str, Any]:
         "lost": row["good_lost"],
         "late": row["late"],
         "duplicates": row["duplicates"],
+        "restarts": row["restarts"],
         "alone_s": (outage.get("dead_reckoning_after_s") or [None, None])[1],
-        "nees": nees,
-        "band": band,
-        "outside": nees is not None and band is not None and not band[0] <= nees <= band[1],
+        "nees": [_nees(part) for part in ([row, outage] if outage else [row])],
         "position_nees": outage.get("position_nees"),
         "after": outage.get("after_30_s"),
         "unflagged": row["unflagged_jumps"],
@@ -44,6 +42,13 @@ def _line(name: str, row: Mapping[str, Any]) -> dict[str, Any]:
         "imu": ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in row["imu_samples"].items()),
         "forged": row["forged_fused"] + row["replayed_fused"],
     }
+
+
+def _nees(part: Mapping[str, Any]) -> dict[str, Any]:
+    """A NEES, its band, and whether it lies outside."""
+    nees, band = part["nees"], part["nees_band95"]
+    outside = nees is not None and band is not None and not band[0] <= nees <= band[1]
+    return {"value": nees, "band": band, "outside": outside}
 
 
 def _network(found: Mapping[str, Any] | None) -> str | None:
@@ -60,19 +65,19 @@ def _network(found: Mapping[str, Any] | None) -> str | None:
 
 _NAME = 13
 _HEADINGS = (
-    ("outliers", "rejected", 9),
-    ("good", "lost", 7),
-    ("alone", "at s", 6),
-    ("NEES", "of 3", 5),
-    ("jumps", "untold", 7),
-    *((group, "ratio", len(group) + 1) for group in GROUPS),
-    ("failed", "runs", 7),
+    ("", "outliers", "rejected", 9),
+    ("", "good", "rejected", 9),
+    ("dead", "reckoning", "after, s", 10),
+    ("final", "NEES", "of 3", 6),
+    ("", "unflagged", "jumps", 10),
+    *((group, "over", "clean", len(group) + 1) for group in GROUPS),
 )
 
 
 def told_faults(summary: Mapping[str, Any]) -> list[str]:
-    """A table within 80 columns: one line for each fault and filter, under the name of the fault."""
-    lines = [" " * _NAME + "".join(f"{heading[i]:>{heading[2]}}" for heading in _HEADINGS) for i in (0, 1)]
+    """A table within 80 columns: one line for each fault and filter, under the name of the fault; below it
+    what else there is to tell of them."""
+    lines = [" " * _NAME + "".join(f"{h[i]:>{h[-1]}}" for h in _HEADINGS) for i in range(3)]
     for block in fault_rows(summary):
         lines.append(block["name"])
         for line in block["filters"]:
@@ -80,16 +85,29 @@ def told_faults(summary: Mapping[str, Any]) -> list[str]:
                 _percent(line["rejected"]),
                 _percent(line["lost"]),
                 _number(line["alone_s"], 1),
-                _number(line["nees"], 2),
+                _number(line["nees"][0]["value"], 2),
                 str(line["unflagged"]),
                 *(_number(line["ratios"].get(group, [None])[0], 2) for group in GROUPS),
-                str(line["failed"]),
             )
-            told = "".join(f"{value:>{h[2]}}" for value, h in zip(values, _HEADINGS, strict=True))
+            told = "".join(f"{value:>{h[-1]}}" for value, h in zip(values, _HEADINGS, strict=True))
             lines.append(f"  {line['name']}".ljust(_NAME) + told)
+            lines += [f"    {more}" for more in _besides(line)]
         if block["network"]:
             lines.append(block["network"])
     return lines
+
+
+def _besides(line: Mapping[str, Any]) -> list[str]:
+    """What the table has no column for, where it happened."""
+    told = []
+    for nees in line["nees"][1:]:
+        band = "" if nees["band"] is None else " (band {:.2f} to {:.2f})".format(*nees["band"])
+        told.append(f"NEES at the end of the outage {_number(nees['value'], 2)} of 3{band}")
+    if line["restarts"]:
+        told.append(f"started again {line['restarts']} times over all runs")
+    if line["failed"]:
+        told.append(f"failed runs: {line['why']}")
+    return told
 
 
 def _percent(share: float | None) -> str:

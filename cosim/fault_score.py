@@ -11,43 +11,20 @@ from numpy.typing import NDArray
 from ..aircraft.flight import Flight
 from ..align.consistency import mean_band
 from ..align.estimate import JUMP_SIGMAS, Array, Estimate, FixOutcome, NavStatus
-from ..network.faults import NetworkFaults
-from ..network.fleet_network import FleetNetwork
 from ..network.record import FaultRecord
 from ..sins import attitude, earth
+from .network_fault_score import mean_and_most, network_figures, share
 from .outages import figures_of
 from .papers import statistics
 from .resampling import paired_ratios
 from .run import Run
-from .scenario import Faults, Scenario
+from .scenario import Scenario
 from .score import FilterScore
 
 AFTER_S = 30.0
 """After an outage, at which errors are told."""
 _JITTER = 6 * np.sqrt(2)
 """Standard deviations of the vibration by which the measured velocity may differ from row to row."""
-
-
-def without_faults(scenario: Scenario) -> Scenario:
-    """The scenario as it would be if nothing broke; without its variants."""
-    changes: dict[str, Any] = {"faults": Faults(), "outages": (), "variants": {}}
-    if isinstance(scenario.fixes, FleetNetwork):
-        changes["fixes"] = scenario.fixes.model_copy(update={"faults": NetworkFaults()})
-    return scenario.model_copy(update=changes)
-
-
-def has_faults(scenario: Scenario) -> bool:
-    """Whether anything breaks in it, outages included."""
-    return without_faults(scenario) != scenario.model_copy(update={"variants": {}})
-
-
-def clean_twin(scenario: Scenario, others: Mapping[str, Scenario]) -> str | None:
-    """Name of the scenario that is like this one but for its faults, or None."""
-    wanted = without_faults(scenario)
-    for name, other in others.items():
-        if not has_faults(other) and without_faults(other) == wanted:
-            return name
-    return None
 
 
 def jumps(estimate: Estimate, truth: Flight, vibration_mps: float) -> tuple[int, int]:
@@ -132,20 +109,26 @@ class FaultScorer:
 
     def _row(self, name: str, score: FilterScore, clean: Mapping[str, Array] | None) -> dict[str, Any]:
         counts, told = self._counts[name], np.stack(self._told[name])
+        independent = self.scenario.fixes.kind != "replay"
         ratios = None
         if clean is not None and name in clean:
             ratios = paired_ratios(score.errors[:, -1], clean[name])
         return {
             "outliers": counts["outliers"],
-            "outliers_rejected": _share(counts["outliers"] - counts["outliers_used"], counts["outliers"]),
+            "outliers_rejected": share(counts["outliers"] - counts["outliers_used"], counts["outliers"]),
             "good": counts["good"],
-            "good_lost": _share(counts["good_gated"], counts["good"]),
+            "good_lost": share(counts["good_gated"], counts["good"]),
             "late": counts["late"],
             "duplicates": counts["duplicates"],
+            "restarts": score.restarts,
             "outages": [
-                {"dead_reckoning_after_s": _mean_and_most(told[:, i]), **_over(score, outage.end_s)}
+                {
+                    "dead_reckoning_after_s": mean_and_most(told[:, i]),
+                    **_over(score, outage.end_s, independent),
+                }
                 for i, outage in enumerate(self.scenario.outages)
             ],
+            **_consistency(score, -1, independent),
             "jumps": counts["jumps"],
             "unflagged_jumps": counts["unflagged_jumps"],
             "over_clean": None if ratios is None else {k: _plain(v) for k, v in ratios.items()},
@@ -161,10 +144,16 @@ def _used(outcome: NDArray[np.int64]) -> NDArray[np.bool_]:
     return (outcome == FixOutcome.FUSED) | (outcome == FixOutcome.INITIALIZED)
 
 
-def _over(score: FilterScore, end_s: float) -> dict[str, Any]:
+def _consistency(score: FilterScore, row: int, independent: bool) -> dict[str, Any]:
+    """NEES of the misalignment at a row, and the band of so many independent runs as have one, or None."""
+    known = int(np.isfinite(score.nees[:, row]).sum())
+    (nees,) = _plain([score.mean_nees[row]])
+    return {"nees": nees, "nees_band95": mean_band(3, known) if independent and known else None}
+
+
+def _over(score: FilterScore, end_s: float, independent: bool) -> dict[str, Any]:
     """What the runs make of an outage: NEES at its end, and errors `AFTER_S` later, if there is so much."""
     end = max(int(np.searchsorted(score.time, end_s - 1e-6)) - 1, 0)
-    known = int(np.isfinite(score.nees[:, end]).sum())
     later = int(np.searchsorted(score.time, end_s + AFTER_S - 1e-6))
     after = None
     if later < len(score.time):
@@ -172,40 +161,10 @@ def _over(score: FilterScore, end_s: float) -> dict[str, Any]:
         values = (level, float(score.rms[later, 2]), float(score.mean_nees[later]))
         after = dict(zip(("level_arcsec", "heading_arcmin", "nees"), _plain(values), strict=True))
     return {
-        "nees": _plain([score.mean_nees[end]])[0],
-        "nees_band95": mean_band(3, max(known, 1)),
+        **_consistency(score, end, independent),
         "position_nees": figures_of(statistics.mean(score.position_nees[:, end])),
         "after_30_s": after,
     }
-
-
-def network_figures(records: Iterable[FaultRecord]) -> dict[str, Any]:
-    """What the network made of those that lie, over all runs: shares and times of quarantines."""
-    found, lying, false, honest = [], 0, 0, 0
-    for record in records:
-        lies, caught = np.isfinite(record.lying_s), np.isfinite(record.quarantined_s)
-        # Who was left out before the first lie was left out without cause.
-        found_out = caught & (record.quarantined_s >= record.lying_s)
-        lying += int(lies.sum())
-        honest += int((~lies).sum())
-        false += int((caught & ~found_out).sum())
-        found += list((record.quarantined_s - record.lying_s)[found_out])
-    return {
-        "lying": lying,
-        "quarantined": _share(len(found), lying),
-        "quarantined_after_s": _mean_and_most(np.array(found, float)),
-        "false_quarantines": false,
-        "false_share": _share(false, honest),
-    }
-
-
-def _share(part: int, whole: int) -> float | None:
-    return part / whole if whole else None
-
-
-def _mean_and_most(values: Array) -> list[float] | None:
-    """Mean and greatest; None if one is missing, or all are."""
-    return [float(values.mean()), float(values.max())] if len(values) and np.isfinite(values).all() else None
 
 
 def _plain(values: Iterable[float]) -> list[float | None]:

@@ -103,6 +103,7 @@ def _summarize_filter(score: FilterScore, independent: bool, floor: Array) -> di
         "nis": _plain(score.mean_nis),
         "nis_band95": mean_band(6, fused) if independent and fused else None,
         "fixes": {outcome.name.lower(): score.fix_outcomes[outcome] for outcome in FixOutcome},
+        "restarts": score.restarts,
         "failed_runs": len(score.failures),
         "failures": {str(run_id): reason for run_id, reason in score.failures.items()},
     }

@@ -55,8 +55,9 @@ def run(
     from ..aircraft.cache import is_cached
     from ..align.bound import Knowledge
     from .bound import BOUND_DRAWS, bounds_of, no_bound_because
+    from .clean_twin import has_faults
     from .fault_report import told_faults
-    from .fault_score import FaultScorer, has_faults
+    from .fault_score import FaultScorer
     from .network_score import NetworkScorer
     from .outages import told_outages
     from .outputs import estimates_writer, manifest, summarize, write_json

@@ -89,6 +89,7 @@ class FilterScore:
     delay : (runs, m) estimated mean delay, s.
     status : (runs, m) `NavStatus`.
     fix_outcomes : how many fixes ended in which way, over all runs.
+    restarts : how often a filter started again after its start, over all runs.
     failures : runs that failed, by id, with the reason: ``no_fix``, ``not_finite``, ``no_coarse`` (see
         `RunOutcome`); ``locked_out``, more than half of the fixes refused by the gate; ``diverged``, at the
         end no closer to the true level or heading than at the start, or with a NEES beyond `FAILED_NEES`.
@@ -106,6 +107,7 @@ class FilterScore:
     status: NDArray[np.int8]
     fix_outcomes: dict[FixOutcome, int]
     failures: dict[int, str]
+    restarts: int = 0
 
     @property
     def runs(self) -> int:
@@ -163,6 +165,7 @@ class Scorer:
     _rows: dict[str, list[tuple[Any, ...]]] = field(default_factory=dict)
     _outcomes: dict[str, NDArray[np.int64] | int] = field(default_factory=dict)
     _failures: dict[str, dict[int, str]] = field(default_factory=dict)
+    _restarts: dict[str, int] = field(default_factory=dict)
     _time: Array = field(default_factory=lambda: np.empty(0))
 
     @cached_property
@@ -210,6 +213,8 @@ class Scorer:
                 )
             )
             self._outcomes[name] = self._outcomes.get(name, 0) + counts
+            again = max(int(counts[FixOutcome.INITIALIZED]) - 1, 0)
+            self._restarts[name] = self._restarts.get(name, 0) + again
             reason = None
             if estimate.outcome is not RunOutcome.ALIGNED:
                 reason = estimate.outcome.name.lower()
@@ -241,6 +246,7 @@ class Scorer:
             status=status,
             fix_outcomes=dict(zip(FixOutcome, np.asarray(self._outcomes[name]).tolist(), strict=True)),
             failures=self._failures.get(name, {}),
+            restarts=self._restarts[name],
         )
 
 

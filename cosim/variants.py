@@ -7,7 +7,8 @@ from ..aircraft.flight import Flight
 from ..align.estimate import Array
 from ..network.fixes import Fixes
 from .bound import BOUND_DRAWS, bound_of
-from .fault_score import FaultScorer, clean_twin, has_faults
+from .clean_twin import clean_twin, has_faults
+from .fault_score import FaultScorer
 from .network_score import NetworkScorer
 from .outputs import summarize_runs
 from .run import Progress, alignment_window, simulate_all

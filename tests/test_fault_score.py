@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fleetalign.align.estimate import FixOutcome, NavStatus
-from fleetalign.cosim import fault_score
+from fleetalign.cosim.clean_twin import clean_twin, has_faults, without_faults
 from fleetalign.cosim.fault_report import fault_rows, told_faults
-from fleetalign.cosim.fault_score import FaultScorer, clean_twin, has_faults, jumps, network_figures
+from fleetalign.cosim.fault_score import FaultScorer, jumps
+from fleetalign.cosim.network_fault_score import network_figures
 from fleetalign.cosim.run import simulate
 from fleetalign.cosim.scenario import load_scenario, replaced
 from fleetalign.cosim.score import Scorer
@@ -69,6 +70,7 @@ def test_counts_are_of_what_became_of_fixes(stated, flight, window):
         outcome = np.where(outlier, FixOutcome.GATED, FixOutcome.FUSED)
         outcome[[3, 4]], outcome[50:59] = FixOutcome.FUSED, FixOutcome.GATED
         outcome[60:70], outcome[70:75] = FixOutcome.DUPLICATE, FixOutcome.PENDING
+        outcome[80:84] = FixOutcome.INITIALIZED
         estimates = {name: replace(found, fix_outcome=outcome) for name, found in done.estimates.items()}
         done = replace(done, estimates=estimates, outlier=outlier)
         scorer.add(done)
@@ -81,6 +83,10 @@ def test_counts_are_of_what_became_of_fixes(stated, flight, window):
     assert row["good"] == 2 * (k - 40 - 15)
     assert row["good_lost"] == 9 / (k - 55)
     assert row["duplicates"] == 20
+    assert row["restarts"] == 2 * 3
+    low, high = row["nees_band95"]
+    assert low < 3 < high
+    assert row["nees"] == pytest.approx(found["l2linf"].nees[:, -1].mean())
     assert {name: ratio[0] for name, ratio in row["over_clean"].items()} == pytest.approx(
         {"level": 2.0, "heading": 2.0, "velocity": 2.0}
     )
@@ -90,6 +96,20 @@ def test_counts_are_of_what_became_of_fixes(stated, flight, window):
     assert low < 3 < high
     assert row["outages"][0]["after_30_s"] is None  # the record ends before
     assert scorer.rows(found, None)["filters"]["l2linf"]["over_clean"] is None
+
+
+def test_without_a_run_that_lasts_there_is_no_band(stated, flight, window):
+    scenario = replaced(stated, {"alignment.filters": ["l2linf"]} | LATE)
+    scorer, scores = FaultScorer(scenario, window), Scorer(window, ("l2linf",))
+    done = simulate(scenario, flight, 0, 1)
+    lost = done.estimates["l2linf"]
+    lost = replace(lost, q_nb=np.full_like(lost.q_nb, np.nan))
+    done = replace(done, estimates={"l2linf": lost})
+    scorer.add(done)
+    scores.add(done)
+    row = scorer.rows(scores.scores(), None)["filters"]["l2linf"]
+    assert (row["nees"], row["nees_band95"]) == (None, None)
+    assert (row["outages"][0]["nees"], row["outages"][0]["nees_band95"]) == (None, None)
 
 
 def test_an_outage_that_is_never_told_has_no_time(stated, flight, window):
@@ -132,6 +152,9 @@ def test_the_table_keeps_to_80_columns_and_tells_all(run):
         "good_lost": None,
         "late": 3,
         "duplicates": 4,
+        "restarts": 5,
+        "nees": 3.2,
+        "nees_band95": (2.5, 3.5),
         "outages": [
             {
                 "dead_reckoning_after_s": [3.0, 3.1],
@@ -154,11 +177,18 @@ def test_the_table_keeps_to_80_columns_and_tells_all(run):
     summary = {"faults": {"an outage": block}}
     lines = told_faults(summary)
     assert max(map(len, lines[:-1])) <= 80  # the last is a sentence
-    for told in ("99.73 %", "3.1", "9.50", "1.00", "1.20", "100"):
-        assert told in lines[3]
+    for told in ("99.73 %", "3.1", "3.20", "1.00", "1.20"):
+        assert told in lines[4]
+    assert lines[5:8] == [
+        "    NEES at the end of the outage 9.50 of 3 (band 2.50 to 3.50)",
+        "    started again 5 times over all runs",
+        "    failed runs: 100 imu_lost",
+    ]
     assert "after 10.0 s, 10.0 s at most; 0 honest" in lines[-1]
     shown = fault_rows(summary)[0]["filters"][0]
-    assert shown["outside"]
+    assert [nees["outside"] for nees in shown["nees"]] == [False, True]
+    whole = fault_rows({"faults": {"x": block | {"filters": {"l2linf": row | {"outages": []}}}}})
+    assert len(whole[0]["filters"][0]["nees"]) == 1
     assert shown["forged"] == 3
     assert (shown["why"], shown["imu"]) == ("100 imu_lost", "5000 not finite")
     assert fault_rows({}) == []
@@ -170,7 +200,7 @@ def test_the_bundled_scenario_has_a_twin_for_each_fault():
     for name, variant in names.items():
         if has_faults(variant):
             twin = clean_twin(variant, names)
-            assert fault_score.without_faults(variant) == fault_score.without_faults(names[twin]), name
+            assert without_faults(variant) == without_faults(names[twin]), name
 
 
 def test_faults_of_the_scenario_itself_are_told(command, flight, tmp_path, undrawn):

@@ -9,7 +9,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from ..fault_score import has_faults
+from ..clean_twin import has_faults
 from ..outputs import write_json
 from ..pages import number, write_page
 from ..scenario import Scenario, replaced
