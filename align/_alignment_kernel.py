@@ -69,7 +69,7 @@ def align(
 
     Parameters (n epochs, k fixes, m outputs)
     ----------
-    time (n,), increments (n, 6) : record, as in `sins.mechanization`. gap_variance (n, 2) : see `predict`.
+    time (n,), increments (n, 6) : record, as in `sins.mechanization`. gap_variance (n, 6) : see `predict`.
     q_initial (4,) : coarse attitude at epoch 0.
     fixes : `reception.Reception`.
     outcome (k,) : PENDING, or the reason for which a fix must not be used; is filled.
@@ -213,8 +213,10 @@ def align(
             if cubature is None:
                 predict(X, P, time, increments, gap_variance, now, noise_density, gravity_model, work)
             else:
-                fill_noise(time, gap_variance, now, noise_density, work[6])
-                cubature_predict(X, P, time, increments, now, work[6], gravity_model, work, cubature)
+                fill_noise(time, now, noise_density, work[6])
+                cubature_predict(
+                    X, P, time, increments, gap_variance, now, work[6], gravity_model, work, cubature
+                )
             copy_state(X, P, X_kept[now % kept], P_kept[now % kept])
         if not meaningful(X, P):
             return running, False

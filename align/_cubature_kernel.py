@@ -18,7 +18,7 @@ import math
 import numpy as np
 from numba import njit
 
-from ..sins._kernels import COMPILED, quaternion_product
+from ..sins._kernels import COMPILED, fill_C_nb, quaternion_product
 from ..sins.earth import radii_of_curvature
 from ._kernels import LEVER, N_X, correct, fill_innovation, kinematics, navigate
 
@@ -119,10 +119,10 @@ def _point(X, root, p, n, e, Y):
 
 
 @njit(**COMPILED)
-def cubature_predict(X, P, time, increments, k, noise, gravity_model, work, memory):
+def cubature_predict(X, P, time, increments, gap_variance, k, noise, gravity_model, work, memory):
     """Carry state and covariance, or its square root, from epoch k - 1 to epoch k ([1]_ eqs. 31 to 37).
 
-    noise (n,) : variances that are added. work : as for `predict`, for its arrays of increments.
+    noise (n,) : variances that are added. gap_variance (n, 6), work : as for `predict`.
     """
     rooted, (root, E, _, _, _, _), (Y, start, e, mean, _, _) = memory
     increment, previous, f_n = work[3], work[4], work[5]
@@ -154,6 +154,14 @@ def cubature_predict(X, P, time, increments, k, noise, gravity_model, work, memo
     for i in range(n):
         for j in range(n):
             E[2 * n + i, j] = math.sqrt(noise[i]) if i == j else 0.0
+    if gap_variance[k].any():
+        # The noise of three axes is the same, and so may be turned.
+        fill_C_nb(start[6:10], work[2])
+        for first, of in ((3, 3), (6, 0)):
+            for b in range(3):
+                sd = math.sqrt(noise[first + b] + gap_variance[k, of + b])
+                for i in range(3):
+                    E[2 * n + first + b, first + i] = sd * work[2][i, b]
     if rooted:
         triangularize(E, P)
         return

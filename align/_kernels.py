@@ -23,6 +23,7 @@ from ..sins._kernels import (
     rotate_attitude,
 )
 from ..sins.earth import EARTH_RATE, gravity, radii_of_curvature, transport_rate_n
+from ._increments_kernel import add_held
 
 N_STATES, N_X = 16, 22
 """States at least: those of the lever arm may follow."""
@@ -37,14 +38,16 @@ def predict(X, P, time, increments, gap_variance, k, noise_density, gravity_mode
     """Carry state and covariance from epoch k - 1 to epoch k.
 
     ``noise_density``, shape (n,), are the power spectral densities of the white noises on the states;
-    ``gap_variance``, shape (n, 2), what missing samples add to the variances of velocity and misalignment.
+    ``gap_variance``, shape (n, 6), what missing samples add to the variances of the increments.
     """
     Phi, W, C, increment, previous, f_n, noise = work
     navigate(X, time, increments, k, gravity_model, increment, previous, f_n)
     fill_C_nb(X[6:10], C)
     fill_transition(X[0:3], X[3:6], f_n, C, time[k] - time[k - 1], Phi)
-    fill_noise(time, gap_variance, k, noise_density, noise)
+    fill_noise(time, k, noise_density, noise)
     predict_covariance(P, Phi, noise, W)
+    if gap_variance[k].any():
+        add_held(P, gap_variance, k, C)
 
 
 @njit(**COMPILED)
@@ -60,13 +63,10 @@ def navigate(X, time, increments, k, gravity_model, increment, previous, f_n):
 
 
 @njit(**COMPILED)
-def fill_noise(time, gap_variance, k, noise_density, noise):
+def fill_noise(time, k, noise_density, noise):
     """Write the variances, (n,), that epoch k adds to the states."""
     for i in range(len(noise)):
         noise[i] = noise_density[i] * (time[k] - time[k - 1])
-    for i in range(3):
-        noise[3 + i] += gap_variance[k, 0]
-        noise[6 + i] += gap_variance[k, 1]
 
 
 @njit(**COMPILED)

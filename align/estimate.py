@@ -51,7 +51,7 @@ class SampleOutcome(IntEnum):
     """What became of a sample of the IMU that could not be taken as it came; see `align.increments`."""
 
     NOT_FINITE = 1
-    """No number, or none that any vehicle makes: held."""
+    """No number: held."""
     STUCK = 2
     """An axis repeated its last value: held."""
     SATURATED = 3
@@ -59,7 +59,9 @@ class SampleOutcome(IntEnum):
     MISSING = 4
     """It never came: held."""
     OUT_OF_ORDER = 5
-    """Its time did not move on: refused, and its place held."""
+    """Its time stamp was behind the others, or ahead of them: refused, and its place held."""
+    OUT_OF_RANGE = 6
+    """Beyond what the unit can measure: held."""
 
 
 class NavStatus(IntEnum):

@@ -13,7 +13,7 @@ from ..network.fixes import Fixes
 from ..sins.earth import GravityModel
 from ..sins.imu import ImuErrors
 from .estimate import Array
-from .increments import Record, restored
+from .increments import Record, conditioned
 from .reception import Integers, Received, received
 from .settings import FilterSettings
 
@@ -61,6 +61,7 @@ class AlignmentInput:
         settings: FilterSettings,
         imu: ImuErrors,
         gravity: GravityModel,
+        until_s: float | None = None,
     ) -> "AlignmentInput":
         """Of what was measured.
 
@@ -69,14 +70,15 @@ class AlignmentInput:
         time : (n,) s. dtheta_b, dv_b : (n, 3) rad and m/s over the interval that ends at ``time``.
         q_nb_coarse : (4,) attitude at ``time[0]``.
         fixes : in any order; taken by arrival.
+        until_s : s, to when there should be samples; None: to the last that came.
 
         Samples and fixes that are broken are found here: such a sample is replaced, at a cost to the
         covariance (`increments`), such a fix has the reason for its outcome (`reception`).
 
-        Raises ValueError for arrays that do not make up a record (`increments.restored`) or an attitude that
-        is no unit quaternion.
+        Raises ValueError for arrays that do not make up a record (`increments.conditioned`) or an attitude
+        that is no unit quaternion.
         """
-        record = restored(time, dtheta_b, dv_b, imu, settings.imu_patience_s)
+        record = conditioned(time, dtheta_b, dv_b, imu, settings.imu_patience_s, until_s)
         q_nb_coarse = np.array(q_nb_coarse, float)
         if q_nb_coarse.shape != (4,) or not abs(np.linalg.norm(q_nb_coarse) - 1) < 1e-6:
             raise ValueError(f"q_nb_coarse must be a unit quaternion, not {q_nb_coarse}")

@@ -69,8 +69,9 @@ class FilterSettings(Settings):
     dead reckoning before, or in the row of the restart where outputs are rarer than fixes."""
     dead_reckoning_after_s: float = Field(default=3.0, ge=0.1, le=60)
     """Time without a fix that was taken, after which the status says so."""
-    imu_patience_s: float = Field(default=2.0, ge=0.01, le=60)
-    """Time over which samples of the IMU may be held without a break: a run in which it takes longer ends."""
+    imu_patience_s: float = Field(default=1.0, ge=0.01, le=60)
+    """Time for which samples of the IMU may be held, less that of good samples since: after more of it a run
+    ends. What is lost of the heading in longer is too much for derivatives, and the covariance too small."""
     horizon_s: float = Field(default=2.0, ge=0.1, le=60)
     """How far back a stamped fix may reach."""
     acceleration_window_s: float = Field(default=0.05, gt=0, le=2)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..align.clock import rows_of
 from .replay_map import TIME_UNITS, Recorded, ReplayError
 
 Array = NDArray[np.float64]
@@ -102,9 +103,9 @@ def uniform(
         if len(time) - unused < LEAST_ROWS:
             raise ReplayError(f"{file}: initial.time_s = {from_s:.10g} s: the file ends at {time[-1]:.10g} s")
         time, values, step = time[unused:], values[unused:], step[unused:]
-    intervals = np.rint(step / dt)
-    missing = int(np.sum(intervals) - len(step))
-    place = np.concatenate([[0], np.cumsum(intervals)]).astype(np.int64)
+    place = rows_of(time)
+    intervals = np.diff(place)
+    missing = int(place[-1]) - len(step)
     longest = float(step.max()) if missing else 0.0
     if longest > recorded.gap_limit_s + 1.5 * dt:
         # Before the filling: a jump of years would fill the memory.

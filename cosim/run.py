@@ -90,7 +90,8 @@ def simulate(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> Run:
     estimates: dict[str, Estimate] = {}
     bridging = scenario.alignment.bridging
     measured = imu.time, imu.dtheta_b, imu.dv_b, q_nb_coarse, fixes
-    given = AlignmentInput.checked(*measured, scenario.alignment.settings, scenario.imu, gravity)
+    until_s = float(window.time[-1])
+    given = AlignmentInput.checked(*measured, scenario.alignment.settings, scenario.imu, gravity, until_s)
     for name in scenario.alignment.filters:
         found = estimate(name, given)
         if METHODS[name].in_flight:  # what knows the whole record has nothing to bridge

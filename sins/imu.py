@@ -99,6 +99,12 @@ class ImuErrors(Settings):
     """As `gyro_bias_instability_deg_h`, for the accelerometers."""
     accel_bias_correlation_s: float = Field(default=600.0, ge=0.1, le=1e7)
 
+    gyro_full_scale_deg_s: float = Field(default=1000.0, gt=0, le=1e5)
+    """The greatest rate that the unit measures: a sample beyond is no measurement. What a unit of less range
+    does at its end is a fault (`imu_faults.SaturatedFault`), and not simulated here."""
+    accel_full_scale_g: float = Field(default=40.0, gt=0, le=1e5)
+    """As `gyro_full_scale_deg_s`, of the specific force."""
+
     gyro_quantum_arcsec: float = Field(default=0.0, ge=0, le=3600)
     """Angle of one count; the remainder is carried into the next sample, as in a counter."""
     accel_quantum_mps: float = Field(default=0.0, ge=0, le=10)

@@ -6,7 +6,7 @@ from fleetalign.align.bridging import lssvm
 from fleetalign.align.bridging.outage import bridged
 from fleetalign.align.bridging.regression import LEAST_ROWS, TrainingError, fit
 from fleetalign.align.estimate import Estimate, NavStatus, RunOutcome
-from fleetalign.align.increments import restored
+from fleetalign.align.increments import conditioned
 from fleetalign.sins import earth
 from fleetalign.sins.earth import GravityModel
 from fleetalign.sins.mechanization import NavigationState, mechanize
@@ -130,7 +130,7 @@ def record():
         held_imu_samples=0,
         outcome=RunOutcome.ALIGNED,
     )
-    return restored(time, dtheta, dv + BIAS_MPS2 * 0.1, None, np.inf), found
+    return conditioned(time, dtheta, dv + BIAS_MPS2 * 0.1, None, np.inf), found
 
 
 @pytest.mark.parametrize("name", ["lssvm", "mlp"])
