@@ -240,6 +240,16 @@ class FlightPlan(Settings):
                 )
         return self
 
+    @model_validator(mode="after")
+    def _failures_in_flight(self) -> "FlightPlan":
+        for number, failure in enumerate(self.failures):
+            if failure.time_s >= self.end_s:
+                raise ValueError(
+                    f"failures[{number}].time_s = {failure.time_s:g} s: the flight ends before, at"
+                    f" {self.end_s:g} s"
+                )
+        return self
+
     @property
     def model_rate_hz(self) -> int:
         """Rate at which the flight model runs."""

@@ -171,19 +171,21 @@ def test_fly_tells_what_befell_the_flight(command, tmp_path, monkeypatch, flight
     file = tmp_path / "mine.toml"
     file.write_text(
         'title = "x"\n[flight]\nfailures = [{ kind = "stuck", control = "rudder", time_s = 510.0 },'
-        ' { kind = "engine_out", time_s = 4000.0 }]\n'
-        "[flight.air]\ngusts = [{ start_s = 20.0, rise_s = 1.0, hold_s = 2.0, down_mps = -5.0 }]\n"
+        ' { kind = "engine_out", time_s = 515.0 }]\n'
+        "[flight.air]\ngusts = [{ start_s = 20.0, rise_s = 1.0, hold_s = 2.0, down_mps = -5.0 },"
+        " { start_s = 4000.0 }]\n"
     )
     status, out, _ = command("fly", file)
     assert status == 0
-    # By the clock; the engine would go out after the end.
-    assert [" ".join(line.split()) for line in out.splitlines()[-2:]] == [
+    # By the clock; the other gust would come after the end.
+    assert [" ".join(line.split()) for line in out.splitlines()[-3:]] == [
         "gust at 20.00 s: 0, 0, -5 m/s north, east, down, for 4 s",
         "failure at 510.00 s: the rudder stuck",
+        "failure at 515.00 s: engine 1 went out",
     ]
     told = json.loads(command("fly", file, "--json")[1])
-    assert [failure["time_s"] for failure in told["failures"]] == [510.0, 4000.0]
-    assert [gust["down_mps"] for gust in told["gusts"]] == [-5.0]
+    assert [failure["time_s"] for failure in told["failures"]] == [510.0, 515.0]
+    assert [gust["down_mps"] for gust in told["gusts"]] == [-5.0, 0.0]
 
 
 def test_check_and_list(command):
