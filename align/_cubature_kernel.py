@@ -156,7 +156,7 @@ def cubature_predict(X, P, time, increments, gap_variance, k, noise, gravity_mod
             E[2 * n + i, j] = math.sqrt(noise[i]) if i == j else 0.0
     if gap_variance[k].any():
         # The noise of three axes is the same, and so may be turned.
-        fill_C_nb(start[6:10], work[2])
+        fill_C_nb(X[6:10], work[2])
         for first, of in ((3, 3), (6, 0)):
             for b in range(3):
                 sd = math.sqrt(noise[first + b] + gap_variance[k, of + b])

@@ -76,8 +76,33 @@ def record():
     return time, increments + 1e-4 * rng.standard_normal((8, 6))
 
 
+HELD = np.zeros((8, 6))
+HELD[5] = [4e-6, 0.0, 9e-6, 1e-4, 0.0, 4e-3]
+
+
+def held_covariance(X) -> np.ndarray:
+    """What row 5 of `HELD`, in b, adds in n."""
+    C = attitude.to_dcm(X[6:10])
+    added = np.zeros((N_STATES, N_STATES))
+    added[3:6, 3:6], added[6:9, 6:9] = (C @ np.diag(v) @ C.T for v in (HELD[5, 3:], HELD[5, :3]))
+    return added
+
+
+def test_held_samples_cost_in_their_axis(record):
+    time, increments = record
+    rng = np.random.default_rng(7)
+    X, P = state(rng), covariance(rng)
+    _, _, work, _ = _memory.steps_memory(N_STATES)
+    without, kept = P.copy(), P.copy()
+    _kernels.predict(X.copy(), without, time, increments, np.zeros((8, 6)), 5, np.zeros(N_STATES), 0, work)
+    _kernels.predict(X, kept, time, increments, HELD, 5, np.zeros(N_STATES), 0, work)
+    np.testing.assert_allclose(kept - without, held_covariance(X), atol=1e-15)
+    assert (kept == kept.T).all()
+
+
+@pytest.mark.parametrize("held", [np.zeros((8, 6)), HELD], ids=["sound", "held"])
 @pytest.mark.parametrize("rooted", ROOTED.values(), ids=ROOTED)
-def test_prediction_is_that_of_the_points(record, rooted):
+def test_prediction_is_that_of_the_points(record, rooted, held):
     time, increments = record
     rng = np.random.default_rng(5)
     X, P, noise = state(rng), covariance(rng), 1e-6 * np.ones(N_STATES)
@@ -96,7 +121,8 @@ def test_prediction_is_that_of_the_points(record, rooted):
 
     kept = np.linalg.cholesky(P) if rooted else P.copy()
     memory = _cubature_kernel.points_memory(N_STATES, rooted)
-    _cubature_kernel.cubature_predict(X, kept, time, increments, 5, noise, 0, work, memory)
+    _cubature_kernel.cubature_predict(X, kept, time, increments, held, 5, noise, 0, work, memory)
+    expected += held.any() * held_covariance(X)
     sd = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(
         (kept @ kept.T if rooted else kept) / sd / sd[:, None], expected / sd / sd[:, None], atol=1e-9
