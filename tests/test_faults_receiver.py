@@ -116,6 +116,39 @@ def test_errors_are_within_the_limits_30_s_after_an_outage(outage, name):
     assert score.rms[row, 2] < 5
 
 
+@pytest.mark.parametrize("name", JUDGED)
+def test_covariance_grows_in_an_outage_by_the_noise_of_the_sensors(stated, flight, window, name):
+    """Sensors without biases whose white noise outweighs all else: the misalignment's variance grows by it
+    alone, the velocity's as the runs' errors do."""
+    arw, vrw = 0.5 * np.pi / 180 / 60, 2000e-6 * 9.80665  # rad/sqrt(s), m/s/sqrt(s)
+    scenario = with_filters(
+        stated,
+        [name],
+        imu__gyro_bias_deg_h=0.0,
+        imu__gyro_arw_deg_sqrt_h=0.5,
+        imu__accel_bias_ug=0.0,
+        imu__accel_vrw_ug_sqrt_hz=2000.0,
+        outages=[{"start_s": 15.0, "duration_s": 20.0}],
+    )
+    squares = []
+    for run in simulate_all(scenario, flight, RUNS, 1):
+        found = run.estimates[name]
+        first, last = np.searchsorted(found.time - window.time[0], [15.2 - 1e-6, 34.9 - 1e-6])
+        lasted = found.time[last] - found.time[first]
+        grown = np.trace(found.misalignment_cov[last]) - np.trace(found.misalignment_cov[first])
+        # What turns the misalignment leaves the trace as it is; velocity and position tell little of it.
+        assert grown == pytest.approx(3 * arw**2 * lasted, rel=0.02)
+        row = np.searchsorted(window.time, found.time[last] - 1e-6)
+        variance = found.sd[last, 3:6] ** 2
+        # Down, where no tilt adds to it, it is most of the variance; in all it is a part.
+        noise = vrw**2 * lasted
+        assert (variance > noise).all()
+        assert noise / variance[2] > 0.5
+        squares.append((found.v_n[last] - window.v_n[row]) ** 2 / variance)
+    # Of 100 squares of a normal deviate the mean is within 3.3 * sqrt(2 / 100) of 1.
+    np.testing.assert_allclose(np.mean(squares, axis=0), 1.0, atol=0.47)
+
+
 def test_no_jump_of_an_outage_is_unflagged(outage):
     """A filter that knows its errors hardly jumps; that jumps are found, the next test shows."""
     total, unflagged = outage[3].sum(axis=0)
@@ -438,7 +471,11 @@ def long_record(eights, n, errors):
 
 
 def check_covariances(P):
-    """Symmetric to 1e-12 and positive definite, each state by its own deviation: (k, n, n)."""
+    """Symmetric to 1e-12 and positive definite, each state by its own deviation: (k, n, n).
+
+    Symmetric it is by how it is made: predictions and updates compute one half and copy it. What the million
+    steps try is that it stays positive definite.
+    """
     sd = np.sqrt(np.einsum("kii->ki", P))
     scaled = P / (sd[:, :, None] * sd[:, None, :])
     assert np.abs(scaled - scaled.swapaxes(1, 2)).max() <= 1e-12
