@@ -195,9 +195,69 @@ def nodes(table, where=()):
             yield from nodes(value, (*where, key))
 
 
-def mutant(rng: random.Random, content) -> tuple[dict, list]:
+def is_number(value) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def must_be_refused(before, after) -> bool:
+    """Whether no field that held the one takes the other: another type, or a number that no field takes."""
+    if isinstance(after, Raw):
+        return True
+    if is_number(after) and not abs(after) < 1e300:
+        return True
+    if is_number(before):
+        return not is_number(after) or not -(2**63) <= after < 2**63
+    if isinstance(before, str):  # the start of an alignment is a phase or a time
+        return not isinstance(after, str) and not is_number(after)
+    return type(before) is not type(after)
+
+
+FREE = ("variants", "axes")
+"""Tables whose keys are the user's."""
+
+
+@dataclass
+class Mutant:
+    content: dict
+    places: list
+    """Where it differs."""
+    wrong: bool
+    """Whether it must be refused."""
+
+    def judge(self, told: str, file: Path) -> None:
+        """It is refused where it must be, and each line names a field that differs, or one near it."""
+        assert told or not self.wrong, self.places
+        for line in told.splitlines():
+            _, named, line = line.partition(str(file))
+            if named and not any(words in line for words in OF_THE_WHOLE):
+                assert any(self._named(place, line) for place in self.places), (line, self.places)
+
+    @staticmethod
+    def _named(place, line) -> bool:
+        """By its own name or that of a table that it is in; an entry of a list by the list's."""
+        names = [part for key in place if isinstance(key, str) for part in [*key.split("."), key]]
+        return any(name[:40] in line for name in names if name) or (
+            place[-1] == "" and "unknown field" in line
+        )
+
+
+OF_THE_WHOLE = (
+    "not TOML",
+    "too long",
+    "entries",
+    "nested more",
+    "control character",
+    "beyond 64 bits",
+    "more m",
+    "a paper's own",
+    "run it by",
+)
+"""Of what no schema has seen, what there is no room for, and what another command is for."""
+
+
+def mutant(rng: random.Random, content) -> Mutant:
     """A content with one to three entries that are others, gone, unknown or nested wrongly; and where."""
-    content, places = copy.deepcopy(content), []
+    content, places, wrong = copy.deepcopy(content), [], False
     for place in rng.sample(sorted(nodes(content), key=str), rng.randint(1, 3)):
         table = content
         try:
@@ -208,23 +268,27 @@ def mutant(rng: random.Random, content) -> tuple[dict, list]:
             continue
         if not isinstance(table, dict | list):
             continue
-        key = place[-1]
+        key, before = place[-1], table[place[-1]]
+        free = place[0] in FREE and len(place) < 3
         match rng.choice(["other"] * 5 + ["gone", "unknown", "list", "table"]):
             case "gone":
                 del table[key]
             case "unknown" if isinstance(table, dict):
                 key = rng.choice(NAMES)
                 table[key] = odd_value(rng)
+                wrong = wrong or (not free and key in ("unknown", "é", "__class__"))
             case "list":
                 table[key] = [table[key]]
             case "table":
                 table[key] = {"a": table[key]}
             case _:
                 table[key] = odd_value(rng)
+                wrong = wrong or (not free and must_be_refused(before, table[key]))
         places.append((*place[:-1], key))
         if rng.random() < 0.7:
             break
-    return content, places
+    # Of several one may take another away.
+    return Mutant(content, places, wrong and len(places) == 1)
 
 
 ODD = [b"\x00", b"\xff\xfe", b"\xef\xbb\xbf", b"\r", b'"', b"[", b"]", b"=", b"'''", b"\x1b[2J", b"\n", b","]
@@ -313,13 +377,16 @@ RANDOM = st.randoms(use_true_random=True)
 @given(RANDOM)
 def test_scenarios(folder, rng):
     file, out = folder / "mine.toml", folder / "out"
-    text = rng.choice(SCENARIOS)
+    text, mutated = rng.choice(SCENARIOS), None
     if rng.random() < 0.7:
-        file.write_bytes(written(mutant(rng, tomllib.loads(text))[0]))
+        mutated = mutant(rng, tomllib.loads(text))
+        file.write_bytes(written(mutated.content))
     else:
         file.write_bytes(damaged(rng, text.encode()))
     before, command = entries(folder), rng.choice(COMMANDS)
-    judge(ask(command, file, *([] if command == "check" else ["--out", out])), (file,), out)
+    told = judge(ask(command, file, *([] if command == "check" else ["--out", out])), (file,), out)
+    if mutated:
+        mutated.judge(told, file)
     assert entries(folder) == before
 
 
@@ -344,13 +411,16 @@ HYPERCUBE = CAMPAIGN.replace("shard_runs = 2", 'design = "latin_hypercube"\npoin
 @given(RANDOM)
 def test_campaigns(folder, rng):
     file, out = folder / "mine.toml", folder / "out"
-    text = rng.choice([CAMPAIGN, HYPERCUBE])
+    text, mutated = rng.choice([CAMPAIGN, HYPERCUBE]), None
     if rng.random() < 0.7:
-        file.write_bytes(written(mutant(rng, tomllib.loads(text))[0]))
+        mutated = mutant(rng, tomllib.loads(text))
+        file.write_bytes(written(mutated.content))
     else:
         file.write_bytes(damaged(rng, text.encode()))
-    before = entries(folder)
-    judge(ask("campaign", file, "--out", out), (file, folder / "base.toml"), out)
+    before, files = entries(folder), (file, folder / "base.toml")
+    told = judge(ask("campaign", file, "--out", out), files, out)
+    if mutated:
+        mutated.judge(told, file)
     assert entries(folder) == before
 
 
@@ -459,18 +529,21 @@ def test_recordings(folder, rng):
     for name in ("imu", "fixes"):
         shutil.copy(folder / f"{name}{suffix}", files[name])
     files["map"].write_text(MAP)
-    spoilt = rng.choice(["imu", "fixes", "map"])
+    spoilt, mutated = rng.choice(["imu", "fixes", "map"]), None
     if spoilt != "map":
         whole = folder / f"{spoilt}{suffix}"
         change = spoilt_parquet(rng, whole) if suffix == ".parquet" else spoilt_table(rng, whole.read_text())
         files[spoilt].write_bytes(change)
     elif rng.random() < 0.7:
-        files["map"].write_bytes(written(mutant(rng, tomllib.loads(MAP))[0]))
+        mutated = mutant(rng, tomllib.loads(MAP))
+        files["map"].write_bytes(written(mutated.content))
     else:
         files["map"].write_bytes(damaged(rng, MAP.encode()))
     before = entries(folder)
     options = [part for name, file in files.items() for part in (f"--{name}", file)]
-    judge(ask("replay", *options, "--out", out), tuple(files.values()), out)
+    told = judge(ask("replay", *options, "--out", out), tuple(files.values()), out)
+    if mutated:
+        mutated.judge(told, files["map"])
     assert entries(folder) == before
 
 
@@ -507,8 +580,7 @@ def test_folders_of_campaigns(folder, rng):
     plan, shard = kept / "campaign.json", rng.choice(sorted((kept / "shards").iterdir()))
     match rng.randrange(4):
         case 0:
-            content, _ = mutant(rng, json.loads(plan.read_text()))
-            plan.write_text(as_json(content))
+            plan.write_text(as_json(mutant(rng, json.loads(plan.read_text())).content))
         case 1:
             plan.write_bytes(damaged(rng, plan.read_bytes()))
         case 2:
@@ -545,7 +617,7 @@ PLANTS = [
 def test_plants(folder, rng):
     file, text = folder / "mine.toml", rng.choice(PLANTS)
     if rng.random() < 0.7:
-        file.write_bytes(written(mutant(rng, tomllib.loads(text))[0]))
+        file.write_bytes(written(mutant(rng, tomllib.loads(text)).content))
     else:
         file.write_bytes(damaged(rng, text.encode()))
     judge(ask("lmi", file), (file,), folder / "out")
