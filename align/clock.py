@@ -74,7 +74,7 @@ def time_base(time: Array, increments: Array, until_s: float | None = None) -> T
         without = np.repeat([True, *between, True], np.diff(row, prepend=-1, append=len(new_time) - 1))
         without[row] = False
     if until_s is not None:
-        more = round(min(max((until_s - new_time[-1]) / dt, 0.0), MOST_FILLED))
+        more = int(min(max((until_s - new_time[-1]) / dt + 0.25, 0.0), MOST_FILLED))  # the last may be early
         new_time = np.append(new_time, new_time[-1] + dt * np.arange(1, more + 1)) if more else new_time
         without = np.append(without, np.zeros(more, bool)) if more else without
     return TimeBase(new_time, dt, taken, row, without)
