@@ -61,7 +61,7 @@ def time_base(time: Array, increments: Array, until_s: float | None = None) -> T
         taken, row, new_time = np.ones(n, bool), np.arange(n), time
         without = np.zeros(n, bool)
     else:
-        dt = float(forward[np.abs(forward - dt) < 0.5 * dt].mean())
+        dt = _interval(time[finite], dt)
         taken, row, count, phase = _placed(time, finite, increments, dt)
         if len(row) < 2:
             raise ValueError("time must increase, over two rows or more")
@@ -86,8 +86,7 @@ def rows_of(time: Array) -> Integers:
     dt = float(np.median(step))
     if step.max() < 1.5 * dt:
         return np.arange(n)
-    single = float(step[np.abs(step - dt) < 0.5 * dt].mean())
-    taken, row = levels(ahead_of_count(time, np.arange(n), single)[0], np.arange(n))
+    taken, row = levels(ahead_of_count(time, np.arange(n), _interval(time, dt))[0], np.arange(n))
     if not taken.all():  # not those of one clock: each interval for itself
         row = np.concatenate([[0], np.cumsum(np.maximum(np.rint(step / dt), 1.0))]).astype(np.int64)
     return row - row[0]
@@ -131,6 +130,20 @@ def ahead_of_count(time: Array, count: Integers, dt: float) -> tuple[Array, Arra
     mean = summed[np.minimum(at + half + 1, len(u))] - summed[np.maximum(at - half, 0)]
     phase = np.unwrap(np.angle(mean)) / (2 * np.pi)
     return np.rint(u - phase - count), reference + dt * phase
+
+
+def _interval(time: Array, dt: float) -> float:
+    """The interval, s, of stamps (n,) from a rough one: over single intervals, then over many, of which
+    jitter is a small part."""
+    for lag in (1, 4, 16, 64, 256):
+        if len(time) > 2 * lag:
+            span = time[lag:] - time[:-lag]
+            intervals = np.rint(np.clip(span / dt, 0, 3 * lag))
+            close = (intervals > 0) & (np.abs(span - intervals * dt) < 0.5 * dt)
+            if lag == 1:
+                close &= intervals == 1
+            dt = float((span[close] / intervals[close]).mean()) if close.any() else dt
+    return dt
 
 
 def _placed(
