@@ -189,8 +189,8 @@ def test_jamming_costs_fixes_and_heading_and_no_honesty(played):
     assert jammed.failures == 0
     assert 0.5 < jammed.made.mean() < 0.995
     assert jammed.rows["network"]["false_quarantines"] == 0
-    # Where few ranges are left a fix may be uncertain by hundreds of metres, and its errors are no longer
-    # those of a normal distribution: four runs of a hundred are beyond 20 (one 239), the others as they should be.
+    # Where few ranges are left a fix may be uncertain by hundreds of metres, and no normal distribution has
+    # its errors then: four runs of a hundred are beyond 20 (one 239), the others as they should be.
     meanwhile = jammed.faulty_nees[np.isfinite(jammed.faulty_nees)]
     assert np.median(meanwhile) == pytest.approx(6.0, abs=1.0)
     assert (meanwhile > 20.0).sum() < 12
