@@ -135,7 +135,7 @@ def ahead_of_count(time: Array, count: Integers, dt: float) -> tuple[Array, Arra
 def _interval(time: Array, dt: float) -> float:
     """The interval, s, of stamps (n,) from a rough one: over single intervals, then over many, of which
     jitter is a small part."""
-    for lag in (1, 4, 16, 64, 256):
+    for lag in (1, 20, 200):
         if len(time) > 2 * lag:
             span = time[lag:] - time[:-lag]
             intervals = np.rint(np.clip(span / dt, 0, 3 * lag))
