@@ -180,6 +180,7 @@ def test_so_many_samples_are_held_as_cost_least():
     # Where only one sample in ten is good, the mean is that of fewer, for they are older.
     increments[600:900, 4] = np.where(np.arange(300) % 10 == 9, increments[600:900, 4], np.nan)
     record = record_of(time, increments)
+    assert record.increments[600, 4] == pytest.approx(held_from(increments, 600, 4))
     fits = [
         m
         for m in range(1, 6)
