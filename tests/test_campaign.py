@@ -3,6 +3,7 @@
 import errno
 import io
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -80,6 +81,18 @@ def test_a_latin_hypercube_has_a_point_in_each_slice_and_is_the_same_again(file)
     assert sorted(p["fixes.rate_hz"] for p in campaign.coordinates) == [5] * 4 + [10] * 4
     assert load_campaign(file).coordinates == campaign.coordinates
     assert load_campaign(file).digest == campaign.digest
+
+
+def test_a_range_of_whole_numbers_has_no_others_and_none_twice(file):
+    (file.parent / "five.toml").write_text(SCENARIO + '[fixes]\nkind = "network"\n')
+    axis = '[axes."fixes.fleet.nodes"]\nlow = 12\nhigh = 14\nsteps = 5\ninteger = true\n'
+    grid = CAMPAIGN.replace("fixes.velocity_sd_mps", "fixes.rate_hz").replace("[0.1, 0.2]", "[5]") + axis
+    file.write_text(grid)
+    assert [p["fixes.fleet.nodes"] for p in load_campaign(file).coordinates] == [12, 13, 14]
+    file.write_text(grid.replace("runs = 5", 'runs = 5\ndesign = "latin_hypercube"\npoints = 6'))
+    drawn = [p["fixes.fleet.nodes"] for p in load_campaign(file).coordinates]
+    assert {type(nodes) for nodes in drawn} == {int}
+    assert set(drawn) == {12, 13, 14}
 
 
 @pytest.mark.parametrize(
@@ -172,6 +185,21 @@ def test_poison_runs_are_failed_rows_and_the_rest_finishes(file, tmp_path, monke
     assert len(failures) == 12 * 2
     reasons = {1: "ZeroDivisionError: a run", 3: engine.DIED, 9: engine.DIED}
     assert {run: reason for (_, run, _), reason in failures.items() if reason} == reasons
+
+
+def test_a_worker_may_die_while_a_result_is_kept(file, tmp_path):
+    file.write_text(CAMPAIGN.replace("[0.1, 0.2]", "[0.1]").replace("shard_runs = 2", "shard_runs = 1"))
+    campaign, done = load_campaign(file), []
+    for shard, content in locally(campaign, campaign.shards, workers=1):
+        done.append(shard)
+        assert content
+        if len(done) == 1:
+            # All that was in work is done, and the worker waits: its death fails nothing but what comes next.
+            (worker,) = multiprocessing.active_children()
+            time.sleep(5.0)
+            worker.kill()
+            time.sleep(1.0)
+    assert sorted(done, key=lambda shard: shard.name) == campaign.shards
 
 
 def test_a_command_that_is_stopped_goes_on_where_it_was(file, tmp_path):
@@ -422,6 +450,84 @@ def test_a_scheduler_that_does_not_answer_leaves_nothing(command, file, tmp_path
     assert "--scheduler nowhere: does not answer" in err
     assert len(err.splitlines()) == 1
     assert not folder.exists()
+
+
+@pytest.fixture
+def scheduler(tmp_path):
+    """Address of a scheduler that runs, and its process."""
+    at = tmp_path / "scheduler.json"
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
+    process = subprocess.Popen(
+        [*command, "--no-dashboard", "--scheduler-file", str(at)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    while not at.is_file() or not at.read_text():
+        assert process.poll() is None
+        time.sleep(0.1)
+    yield json.loads(at.read_text())["address"], process
+    process.kill()
+    process.wait()
+
+
+def worker_of(address):
+    return subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-dashboard", "--no-nanny"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+def test_a_scheduler_that_is_lost_is_told_in_a_line(command, file, tmp_path, scheduler, monkeypatch):
+    address, process = scheduler
+    worker = worker_of(address)
+    add = Ledger.add
+
+    def then_lost(self, shard, content):
+        add(self, shard, content)
+        process.kill()
+
+    monkeypatch.setattr(Ledger, "add", then_lost)
+    try:
+        status, out, err = command(
+            "campaign", file, "--out", tmp_path / "out", "--scheduler", address, "--quiet"
+        )
+    finally:
+        worker.kill()
+        worker.wait()
+    assert (status, out) == (1, "")
+    assert "lost" in err.splitlines()[-1]
+    assert "of 10 runs are kept, go on with --resume" in err.splitlines()[-1]
+    assert len(contents(tmp_path / "out")) >= 1
+
+
+def test_workers_with_other_versions_are_refused(command, file, tmp_path, scheduler, monkeypatch):
+    address, _ = scheduler
+    worker = worker_of(address)
+    wanted = cluster.versions()
+    monkeypatch.setattr(cluster, "versions", OtherVersions())
+    try:
+        with cluster._client(address) as client:
+            client.wait_for_workers(1)
+        status, out, err = command("campaign", file, "--out", tmp_path / "out", "--scheduler", address)
+    finally:
+        worker.kill()
+        worker.wait()
+    assert (status, out) == (2, "")
+    assert f"has numba {wanted['numba']}, and not 0.1 as here" in err
+    assert not (tmp_path / "out").exists()
+
+
+class OtherVersions:
+    """Here they are others than on workers, to whom it travels as the real ones."""
+
+    def __call__(self):
+        return {"numba": "0.1"}
+
+    def __reduce__(self):
+        from fleetalign.cosim.campaign import plan
+
+        return getattr, (plan, "versions")
 
 
 def test_no_campaign_has_no_report(command, tmp_path):

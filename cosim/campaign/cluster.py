@@ -2,23 +2,34 @@
 
 import signal
 from collections.abc import Iterator
+from concurrent.futures import CancelledError
 from contextlib import closing
 from typing import Any
 
 from ..command_line import InputError
-from .plan import Campaign, Shard
+from .plan import Campaign, Shard, versions
 from .shard import done_shard, encoded, failed_rows
 
 LOCALHOST = "127.0.0.1"
 IN_WORK = 3
-"""Shards for each worker: one in work, and what it takes next while its result travels."""
+"""Shards for each thread of a worker: one in work, and what it takes next while its result travels."""
 
 
 def check_cluster(scheduler: str | None) -> None:
-    """Raise `InputError` where `distributed` is not installed or the scheduler does not answer."""
+    """Raise `InputError` where `distributed` is not installed, the scheduler does not answer, or one of its
+    workers would give other bits than this process."""
     _distributed()
-    if scheduler is not None:
-        _client(scheduler).close()
+    if scheduler is None:
+        return
+    with closing(_client(scheduler)) as client:
+        wanted = versions()
+        for worker, found in client.run(versions, on_error="return").items():
+            if not isinstance(found, dict):
+                raise InputError(f"--scheduler {scheduler}: worker {worker}: no such fleetalign: {found}")
+            for name, version in wanted.items():
+                if found.get(name) != version:
+                    told = f"worker {worker} has {name} {found.get(name)}, and not {version} as here"
+                    raise InputError(f"--scheduler {scheduler}: {told}")
 
 
 def on_cluster(
@@ -31,7 +42,8 @@ def on_cluster(
     scheduler : address of one that runs, e.g. ``"tcp://10.0.0.5:8786"``; its workers need this fleetalign.
     workers : without a scheduler, so many processes of this machine, bound to `LOCALHOST`.
 
-    Raises `InputError` where `distributed` is not installed or the scheduler does not answer.
+    Raises `InputError` where `distributed` is not installed or the scheduler does not answer, and
+    ConnectionError where it is lost.
     """
     Client, LocalCluster = _distributed()
     if scheduler is None:
@@ -77,26 +89,31 @@ def _completed(client: Any, campaign: Campaign, shards: list[Shard]) -> Iterator
     flying = as_completed([])
 
     def hand_out() -> None:
-        workers = max(len(client.scheduler_info()["workers"]), 1)
-        while waiting and len(by_key) < IN_WORK * workers:
+        threads = max(sum(client.nthreads().values()), 1)
+        while waiting and len(by_key) < IN_WORK * threads:
             shard = waiting.pop()
             task = client.submit(done_shard, campaign.scenario(shard.point), shard, pure=False)
             by_key[task.key] = shard
             flying.add(task)
 
-    hand_out()
-    for task in flying:
-        shard = by_key.pop(task.key)
-        try:
-            yield shard, task.result()
-        except KilledWorker:
-            # Several workers died of it, or of another that was beside it each time.
-            suspects.append(shard)
-        task.release()
+    try:
         hand_out()
-    # Run by run and with nothing beside it, the poison one alone is lost.
-    for shard in suspects:
-        yield shard, _run_by_run(client, campaign, shard)
+        for task in flying:
+            shard = by_key.pop(task.key)
+            try:
+                content = task.result()
+            except KilledWorker:
+                # Several workers died of it, or of another that was beside it each time.
+                suspects.append(shard)
+            else:
+                yield shard, content
+            task.release()
+            hand_out()
+        # Run by run and with nothing beside it, the poison one alone is lost.
+        for shard in suspects:
+            yield shard, _run_by_run(client, campaign, shard)
+    except (CancelledError, TimeoutError) as error:
+        raise ConnectionError("the scheduler is lost") from error
 
 
 def _run_by_run(client: Any, campaign: Campaign, shard: Shard) -> bytes:

@@ -65,9 +65,15 @@ def locally(
         try:
             while (waiting or pending) and not suspects:
                 # Few at a time: what is in work is lost with a worker, and memory does not grow with runs.
-                while waiting and len(pending) < 2 * workers:
-                    shard = waiting.pop()
-                    pending[pool.submit(done_shard, campaign.scenario(shard.point), shard)] = shard
+                try:
+                    while waiting and len(pending) < 2 * workers:
+                        shard = waiting[-1]
+                        pending[pool.submit(done_shard, campaign.scenario(shard.point), shard)] = shard
+                        waiting.pop()
+                except BrokenProcessPool:
+                    # A worker died while a result was kept; with nothing in work nobody is to blame for it.
+                    if not pending:
+                        break
                 finished, _ = wait(pending, return_when=FIRST_COMPLETED)
                 for future in finished:
                     shard = pending.pop(future)

@@ -21,8 +21,8 @@ FIELDS = (
 )
 """Fixes that the gate refused, that came too late or from nobody known, and those made false
 (`faults.packets`) that were believed; time without fixes; the largest jump over its own standard deviation,
-as `Estimate.jump` has it; samples of the IMU that were held; nodes that the network left out, and those of
-them that had not lied. Null where it does not apply."""
+as `Estimate.jump` has it; samples of the IMU that were held; nodes that the network left out at some time,
+whether it asked them back or not, and those of them that had not lied. Null where it does not apply."""
 NAMES = tuple(name for name, _ in FIELDS)
 GREATEST = ("largest_jump_sd",)
 """Those of which the greatest tells more than the mean."""
@@ -41,9 +41,9 @@ def incidents(run: Run, estimate: Estimate, output_rate_hz: float) -> dict[str, 
     left_out = None if run.network is None else run.network.faults
     caught = false = None
     if left_out is not None:
-        found = np.isfinite(left_out.quarantined_s)
-        caught = int(found.sum())
-        false = caught - int((left_out.quarantined_s >= left_out.lying_s).sum())
+        without_cause = left_out.left_out_without_cause
+        caught = int((np.isfinite(left_out.found_s) | without_cause).sum())
+        false = int(without_cause.sum())
     return {
         "gated": counts[FixOutcome.GATED],
         "late": counts[FixOutcome.LATE],

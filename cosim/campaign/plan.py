@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import platform
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import metadata
@@ -40,6 +41,8 @@ class Range(Settings):
     steps: int = Field(default=5, ge=2, le=10_000)
     log: bool = False
     """Whether even means even ratios."""
+    integer: bool = False
+    """Whether values are rounded to whole numbers, as a field of these wants."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -47,13 +50,17 @@ class Range(Settings):
             raise ValueError(f"low = {self.low:g}: must be below high = {self.high:g}")
         if self.log and self.low <= 0:
             raise ValueError(f"low = {self.low:g}: must be above 0 where log = true")
+        if self.integer and not (self.low.is_integer() and self.high.is_integer()):
+            raise ValueError(f"low = {self.low:g}, high = {self.high:g}: must be whole where integer = true")
         return self
 
-    def at(self, share: float) -> float:
+    def at(self, share: float) -> float | int:
         """The value at a share of the way, 0 to 1."""
         if self.log:
-            return float(self.low * (self.high / self.low) ** share)
-        return float(self.low + share * (self.high - self.low))
+            value = self.low * (self.high / self.low) ** share
+        else:
+            value = self.low + share * (self.high - self.low)
+        return round(value) if self.integer else float(value)
 
 
 Axis = Annotated[Values | Range, Field(discriminator="kind")]
@@ -109,8 +116,10 @@ class CampaignFile(Settings):
         return axes
 
 
-_VERSIONS = ("fleetalign", "jsbsim", "numba", "numpy")
-"""Programs by which the last bits of a run may differ."""
+def versions() -> dict[str, str]:
+    """Of this process's Python, and of the programs by which the last bits of a run may differ."""
+    programs = ("fleetalign", "jsbsim", "numba", "numpy", "scipy")
+    return {"python": platform.python_version()} | {name: metadata.version(name) for name in programs}
 
 
 @dataclass(frozen=True)
@@ -157,7 +166,7 @@ class Campaign:
     def digest(self) -> str:
         """SHA-256 of all that its results depend on, the programs' versions among it."""
         content: dict[str, Any] = {"base": self.base.digest, "coordinates": self.coordinates}
-        content["versions"] = {name: metadata.version(name) for name in _VERSIONS}
+        content["versions"] = versions()
         content |= self.settings.model_dump(mode="json", exclude={"title"})
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
@@ -198,8 +207,9 @@ def _base(path: Path, name: str) -> Scenario:
         beside = inside(path.parent, name)
         bundled = not beside.is_file() and name in scenario_names()
         if not (bundled or beside.is_file()):
+            meant = f"; {name}.toml is" if inside(path.parent, f"{name}.toml").is_file() else ""
             raise ValueError(
-                f"neither a bundled scenario ({', '.join(scenario_names())}) nor a file beside it"
+                f"neither a bundled scenario ({', '.join(scenario_names())}) nor a file beside it{meant}"
             )
     except ValueError as error:
         told = f"{printable(str(path))}: scenario = {shortened(repr(name))}: {error}"
@@ -213,7 +223,8 @@ def _points(settings: CampaignFile) -> list[dict[str, Any]]:
         grids = [
             list(axis.values)
             if isinstance(axis, Values)
-            else [axis.at(i / (axis.steps - 1)) for i in range(axis.steps)]
+            # Neighbours that round to the same number are one.
+            else list(dict.fromkeys(axis.at(i / (axis.steps - 1)) for i in range(axis.steps)))
             for axis in axes
         ]
         return [dict(zip(names, values, strict=True)) for values in product(*grids)]
