@@ -60,7 +60,9 @@ def _network(found: Mapping[str, Any] | None) -> str | None:
     if found["quarantined_after_s"]:
         mean, most = found["quarantined_after_s"]
         told += f" after {mean:.1f} s, {most:.1f} s at most"
-    return f"{told}; {found['false_quarantines']} honest nodes were"
+    if found["quarantined_at_end"] != found["quarantined"]:
+        told += f" ({100 * found['quarantined_at_end']:.1f} % at the end)"
+    return f"{told}; {found['false_quarantines']} honest nodes were, {found['false_at_end']} at the end"
 
 
 _NAME = 13

@@ -10,21 +10,29 @@ from ..network.record import FaultRecord
 
 
 def network_figures(records: Iterable[FaultRecord]) -> dict[str, Any]:
-    """What the network made of those that lie, over all runs: shares and times of quarantines."""
-    found, lying, false, honest = [], 0, 0, 0
+    """What the network made of those that lie, over all runs: shares and times of quarantines, which count
+    though a node was asked back; and what was left of them at the end."""
+    found, lying, honest = [], 0, 0
+    kept = false = false_at_end = suspects = 0
     for record in records:
-        lies, caught = np.isfinite(record.lying_s), np.isfinite(record.quarantined_s)
-        # Who was left out before the first lie was left out without cause.
-        found_out = caught & (record.quarantined_s >= record.lying_s)
+        lies, found_s = np.isfinite(record.lying_s), record.found_s
+        found_out = np.isfinite(found_s)
         lying += int(lies.sum())
         honest += int((~lies).sum())
-        false += int((caught & ~found_out).sum())
-        found += list((record.quarantined_s - record.lying_s)[found_out])
+        # Who was left out before the first lie was left out without cause.
+        false += int(record.left_out_without_cause.sum())
+        false_at_end += int(record.out_without_cause.sum())
+        kept += int((found_out & np.isfinite(record.quarantined_s)).sum())
+        suspects += int((record.suspected & ~lies).sum())
+        found += list((found_s - record.lying_s)[found_out])
     return {
         "lying": lying,
         "quarantined": share(len(found), lying),
         "quarantined_after_s": mean_and_most(np.array(found, float)),
+        "quarantined_at_end": share(kept, lying),
         "false_quarantines": false,
+        "false_at_end": false_at_end,
+        "honest_suspects": suspects,
         "false_share": share(false, honest),
     }
 

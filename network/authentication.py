@@ -4,7 +4,8 @@ The tag is BLAKE2b, keyed, over all that a packet says: source, number, stamp, p
 Whoever has no key cannot make one, nor change a packet and keep it. A packet that was recorded and is sent
 again has a good tag, but not a recent stamp. Numbers betray copies of packets that the own ship has had; one
 that never came, or came before it listened, is betrayed by its age alone, and so packets beyond an age are
-refused. For that, clocks need to agree to a fraction of that age only.
+refused. For that, clocks need to agree to a fraction of that age only. A stamp from the future would make a
+packet last for longer, and is refused, too.
 """
 
 import hashlib
@@ -21,6 +22,8 @@ from ..sins.settings import Settings
 from .fixes import Booleans, Fixes
 
 TAG_BYTES = 16
+FUTURE_S = 1e-3
+"""By which a stamp may lie ahead of the arrival: clocks of nodes that range each other agree to far less."""
 _SALT = b"fleetalign fix keys"
 
 
@@ -75,6 +78,8 @@ def tags(fixes: Fixes, authentication: Authentication) -> list[bytes]:
 
 
 def genuine(fixes: Fixes, received: Sequence[bytes], authentication: Authentication) -> Booleans:
-    """(k,) packets whose tag is right, and that are no older by their stamps than they may be."""
+    """(k,) packets whose tag is right, and that are by their stamps no older than they may be, nor from the
+    future (`FUTURE_S`)."""
     right = [hmac.compare_digest(a, b) for a, b in zip(tags(fixes, authentication), received, strict=True)]
-    return np.array(right, np.bool_) & (fixes.t_arrival - fixes.t_stamp <= authentication.fresh_s)
+    age = fixes.t_arrival - fixes.t_stamp
+    return np.array(right, np.bool_) & (age <= authentication.fresh_s) & (age >= -FUTURE_S)

@@ -210,4 +210,6 @@ def _fault_record(
         forged_arrival=intruders.forged,
         replayed_arrival=intruders.replayed,
         disturbed_s=np.array(() if monitor is None else monitor.disturbed_s),
+        found_out=np.array([] if monitor is None else monitor.found_out).reshape(-1, 2),
+        suspected=np.zeros(nodes, np.bool_) if monitor is None else monitor.suspected,
     )

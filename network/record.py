@@ -54,9 +54,14 @@ class FaultRecord:
     silenced: Booleans
     """(n,) nodes whose tags are wrong: their links were not used."""
     quarantined_s: Array
-    """(n,) s, when each node was quarantined; NaN for those that were not."""
+    """(n,) s, since when each node is quarantined at the end; NaN for those that are not."""
     quarantined_for: Integers
-    """(n,) `QuarantineReason`."""
+    """(n,) `QuarantineReason`, at the end."""
+    found_out: Array
+    """(f, 2) node, and s: each time that one was found out (`QuarantineReason` BELIEF, RANGES); it may have
+    been asked back since."""
+    suspected: Booleans
+    """(n,) anchors that stood back as suspects of a start at some time."""
     forged_arrival: Array
     """(p,) s, truth: times of arrival of packets that an intruder made up or changed."""
     replayed_arrival: Array
@@ -64,6 +69,34 @@ class FaultRecord:
     disturbed_s: Array = field(default_factory=lambda: np.zeros(0))
     """(d,) s, epochs at which nodes contradicted each other and no few were at fault: many may be off, as
     where a side has no line of sight."""
+
+    @property
+    def found_s(self) -> Array:
+        """(n,) s, when each node that lies was first found out from its lie on; NaN for all others. One that
+        stands back as a suspect of a start to the end needs no finding."""
+        waits = (self.quarantined_for == QuarantineReason.START) & (self.quarantined_s >= self.lying_s)
+        found = np.where(waits, self.quarantined_s, np.nan)
+        for node, t in self._found_out:
+            if t >= self.lying_s[node]:
+                found[node] = np.fmin(found[node], t)
+        return found
+
+    @property
+    def left_out_without_cause(self) -> Booleans:
+        """(n,) nodes that were found out at some time and had not lied until then."""
+        false = np.zeros(len(self.lying_s), np.bool_)
+        for node, t in self._found_out:
+            false[node] |= not t >= self.lying_s[node]
+        return false
+
+    @property
+    def out_without_cause(self) -> Booleans:
+        """(n,) nodes that are left out at the end, for whatever reason, and had not lied until they were."""
+        return np.isfinite(self.quarantined_s) & ~(self.quarantined_s >= self.lying_s)
+
+    @property
+    def _found_out(self) -> list[tuple[int, float]]:
+        return [(int(node), float(t)) for node, t in self.found_out]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from fleetalign.cosim.campaign import incidents, report
 from fleetalign.cosim.campaign.ledger import Ledger
 from fleetalign.cosim.campaign.plan import load_campaign
 from fleetalign.cosim.campaign.shard import done_shard
+from fleetalign.network.record import FaultRecord
 
 
 def a_run(outcomes, arrival=None, outlier=None, status=(), jump=(0.0,), fix_jump=(0.5,), faults=...):
@@ -53,9 +54,17 @@ def test_time_alone_and_the_largest_jump():
 
 
 def test_nodes_that_were_left_out_and_those_of_them_that_had_not_lied():
-    faults = SimpleNamespace(
+    nothing, nobody = np.empty(0), np.zeros(6, bool)
+    faults = FaultRecord(
         lying_s=np.array([np.nan, 10.0, 10.0, np.nan, np.nan, 20.0]),
-        quarantined_s=np.array([np.nan, 12.0, np.nan, 30.0, np.nan, 19.0]),
+        silenced=nobody,
+        quarantined_s=np.array([np.nan, 12.0, np.nan, np.nan, np.nan, 19.0]),
+        quarantined_for=np.array([0, 1, 0, 0, 0, 2]),
+        # One of those without cause was asked back.
+        found_out=np.array([[1, 12.0], [3, 30.0], [5, 19.0]]),
+        suspected=nobody,
+        forged_arrival=nothing,
+        replayed_arrival=nothing,
     )
     found = a_run([], faults=faults)
     assert (found["quarantined"], found["honest_quarantined"]) == (3, 2)

@@ -13,7 +13,7 @@ from fleetalign.cosim.network_fault_score import network_figures
 from fleetalign.cosim.run import simulate
 from fleetalign.cosim.scenario import load_scenario, replaced
 from fleetalign.cosim.score import Scorer
-from fleetalign.network.record import FaultRecord
+from fleetalign.network.record import FaultRecord, QuarantineReason
 
 FILTERS = ["ekf_stamped", "l2linf"]
 LATE = {"faults.packets.detour_share": 0.2, "outages": [{"start_s": 10.0, "duration_s": 5.0}]}
@@ -124,26 +124,49 @@ def test_an_outage_that_is_never_told_has_no_time(stated, flight, window):
     assert row["outages"][0]["dead_reckoning_after_s"] is None
 
 
-def record(lying, quarantined):
-    nothing = np.empty(0)
-    lying, quarantined = np.array(lying, float), np.array(quarantined, float)
-    n = len(lying)
-    return FaultRecord(lying, np.zeros(n, bool), quarantined, np.zeros(n, np.int64), nothing, nothing)
+def record(lying, found_out, asked_back=(), suspects=(), standing_back=()):
+    """`found_out` has all times at which each node was found out; suspects of a start stand back at 10 s."""
+    nothing, n, reasons = np.empty(0), len(lying), QuarantineReason
+    times = [(node, at_s) for node, told in enumerate(found_out) for at_s in told]
+    last, reason = np.full(n, np.nan), np.full(n, int(reasons.NONE))
+    for node, at_s in times:
+        if node not in asked_back:
+            last[node], reason[node] = at_s, reasons.BELIEF
+    last[list(standing_back)], reason[list(standing_back)] = 10.0, reasons.START
+    suspected = np.isin(np.arange(n), [*suspects, *standing_back])
+    times = np.array(times, float).reshape(-1, 2)
+    lying = np.array(lying, float)
+    return FaultRecord(lying, np.zeros(n, bool), last, reason, times, suspected, nothing, nothing)
 
 
 def test_quarantines_are_of_liars_or_false():
     nan = np.nan
-    records = [record([nan, 10, 10], [nan, 20, nan]), record([nan, 10, nan], [nan, 16, 30])]
+    records = [record([nan, 10, 10], [[], [20], []]), record([nan, 10, nan], [[], [16], [30]])]
     found = network_figures(records)
     assert found["lying"] == 3
     assert found["quarantined"] == 2 / 3
     assert found["quarantined_after_s"] == [8.0, 10.0]
-    assert found["false_quarantines"] == 1
+    assert (found["false_quarantines"], found["false_at_end"], found["honest_suspects"]) == (1, 1, 0)
     assert found["false_share"] == 1 / 3
-    assert network_figures([record([nan], [nan])])["quarantined"] is None
-    early = network_figures([record([10, 10], [2, 12])])  # one of them left out before its first lie
-    assert (early["quarantined"], early["false_quarantines"]) == (0.5, 1)
+    assert network_figures([record([nan], [[]])])["quarantined"] is None
+    early = network_figures([record([10, 10], [[2], [12]])])  # one of them left out before its first lie
+    assert (early["quarantined"], early["false_quarantines"], early["false_at_end"]) == (0.5, 1, 1)
     assert early["quarantined_after_s"] == [2.0, 2.0]
+
+
+def test_who_was_asked_back_was_left_out_all_the_same():
+    nan = np.nan
+    # An honest one, a liar found before its lie and twice after, and one that is not let in from the start.
+    told = record([nan, 10, 10, nan], [[12], [2, 15, 19], [], []], [0], [3], [2])
+    found = network_figures([told])
+    assert (found["false_quarantines"], found["false_at_end"], found["honest_suspects"]) == (2, 0, 1)
+    assert found["false_share"] == 2 / 2
+    assert (found["quarantined"], found["quarantined_at_end"]) == (1.0, 1.0)
+    assert found["quarantined_after_s"] == [2.5, 5.0]  # the first time after the lie
+    back = network_figures([record([10, 10], [[12], [14]], asked_back=[1])])
+    assert (back["quarantined"], back["quarantined_at_end"]) == (1.0, 0.5)
+    line = told_faults({"faults": {"x": {"against": None, "filters": {}, "network": back}}})[-1]
+    assert "100.0 % of them were quarantined after 3.0 s, 4.0 s at most (50.0 % at the end)" in line
 
 
 def test_the_table_keeps_to_80_columns_and_tells_all(run):
@@ -172,7 +195,7 @@ def test_the_table_keeps_to_80_columns_and_tells_all(run):
         "forged_fused": 1,
         "replayed_fused": 2,
     }
-    network = network_figures([record([10.0], [20.0])])
+    network = network_figures([record([10.0], [[20.0]])])
     block = {"against": "as stated", "filters": dict.fromkeys(FILTERS, row), "network": network}
     summary = {"faults": {"an outage": block}}
     lines = told_faults(summary)

@@ -39,10 +39,10 @@ def fly(path, settings, seconds, run=0, seed=5):
 
 
 def caught(record):
-    """Seconds after its lie at which each liar was left out; and how many honest nodes were."""
+    """Seconds after its lie at which each liar was first left out; and how many honest nodes ever were."""
     told = record.faults
     lies = np.isfinite(told.lying_s)
-    return (told.quarantined_s - told.lying_s)[lies], int(np.isfinite(told.quarantined_s[~lies]).sum())
+    return (told.found_s - told.lying_s)[lies], int(told.left_out_without_cause.sum())
 
 
 def own_rms(record, since_s):
@@ -252,6 +252,10 @@ def test_fewer_than_half_are_left_out():
     assert monitor.left_out(QuarantineReason.BELIEF) == {5}
     assert np.isnan(monitor.since_s[4])
     assert monitor.since_s[[1, 2, 5]].tolist() == [3.0, 4.0, 3.0]
+    # And is known to have been left out; another time is told again.
+    monitor.leave_out([4], [1, 2, 3, 5], 6.0)
+    told = [(1, 3.0), (4, 3.0), (5, 3.0), (2, 4.0), (3, 4.0), (4, 6.0)]
+    assert monitor.found_out == told
 
 
 def test_a_distributed_solver_is_not_watched(gao2009):

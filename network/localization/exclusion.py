@@ -27,7 +27,8 @@ KNOWN_M = 50.0
 _LEAST_NODES = 5
 """Of which the spread of all nodes' biases is known."""
 _KEPT = 40
-"""Sets of each size that are followed up in the search: of nine anchors half of all, of fifteen the best."""
+"""Sets of each size that are followed up in the search: of nine anchors half of all, of fifteen the best. A
+smallest set all of whose parts are beyond these is not found."""
 
 
 @dataclass(frozen=True)
@@ -125,8 +126,8 @@ class Stand:
         return found
 
     def to_disbelieve(self, excess: float, most: int) -> tuple[frozenset[int], bool]:
-        """The fewest anchors, at most ``most``, after whom no belief contradicts the others, and True; or
-        those after whom they do least, and False."""
+        """The fewest anchors that the search finds, at most ``most``, after whom no belief contradicts the
+        others, and True; or those after whom they do least, and False."""
         joints, limit2 = self._joints(excess), self._limits.belief(self._size) ** 2
         if not joints:
             return frozenset(), True
@@ -152,7 +153,8 @@ class Stand:
 
     @staticmethod
     def _each_needed(out: tuple[int, ...], gains: dict[tuple[int, ...], Array], limit2: float) -> bool:
-        """Whether each of a set contradicts all others who are believed, as far as that was worked out."""
+        """Whether each of a set contradicts all others who are believed, as far as that was worked out: it
+        passes where the set without one of them was not followed up."""
         without = [gains.get(rest) for rest in combinations(out, len(out) - 1)] if out else []
         return all(less is None or np.max(gains[out] - less) > limit2 for less in without)
 

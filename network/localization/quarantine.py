@@ -41,7 +41,8 @@ class Monitor:
 
     ``constant_share`` is the part of a range's stated variance that is constant over time: to average does
     not help against it. Fewer than half of the anchors are ever left out, since who is right is settled by
-    majority; and never the own ship, whose fixes are judged where they are made.
+    majority; and never the own ship, whose fixes are judged where they are made. Nothing bounds the number of
+    other nodes whose ranges are not used; whoever is left out returns only if a later alarm names others.
     """
 
     def __init__(
@@ -51,6 +52,10 @@ class Monitor:
         self.anchor = anchor
         self.since_s: Array = np.full(n, np.nan)
         """(n,) s, when each node was quarantined; NaN for those that are not."""
+        self.found_out: list[tuple[int, float]] = []
+        """Node and time, s, of each time that one was found out, whether it was asked back since or not."""
+        self.suspected: Booleans = np.zeros(n, np.bool_)
+        """(n,) anchors that stood back as suspects of a start at some time."""
         self.reason: Integers = np.full(n, int(QuarantineReason.NONE))
         """(n,) `QuarantineReason`."""
         self.disturbed_s: list[float] = []
@@ -79,6 +84,8 @@ class Monitor:
 
     def leave_out(self, disbelieved: Collection[int], silent: Collection[int], t: float) -> None:
         """Note who is left out from ``t``, s, on. Who is no longer among them is asked back."""
+        before = self.left_out(QuarantineReason.BELIEF) | self.left_out(QuarantineReason.RANGES)
+        self.found_out += [(node, t) for node in sorted({*disbelieved, *silent} - before)]
         for nodes, reason in ((disbelieved, QuarantineReason.BELIEF), (silent, QuarantineReason.RANGES)):
             for node in self.left_out(reason).difference(disbelieved, silent):
                 self.reason[node], self.since_s[node] = QuarantineReason.NONE, np.nan
@@ -142,6 +149,7 @@ class Monitor:
         """Anchors that the start left out: the tracker asks them back once they are beyond suspicion."""
         standing_back = self.anchor & ~seen.started & (self.reason == QuarantineReason.NONE)
         asked_back = seen.started & (self.reason == QuarantineReason.START)
+        self.suspected |= standing_back
         self.reason[standing_back], self.since_s[standing_back] = QuarantineReason.START, seen.t[0]
         self.reason[asked_back], self.since_s[asked_back] = QuarantineReason.NONE, np.nan
 

@@ -37,8 +37,10 @@ class WatchedTracker:
         self._leave_out(*(monitor.left_out(r) for r in (QuarantineReason.BELIEF, QuarantineReason.RANGES)))
 
     def advance(self, epochs: Epochs) -> Track:
-        """As `Tracker.advance`. The epoch at which a node is found out is solved without it, and those after:
-        no estimate rests on what came later. Covariances are those after the last that was found out."""
+        """As `Tracker.advance`. The epoch at which a node is found out is solved without it, and those after;
+        none before it is. Epochs are judged in blocks as they are given, of up to a second: which links there
+        are, and so how far nodes are known, is taken of a whole block. Covariances are those after the last
+        that was found out."""
         parts: list[Track] = []
         while len(epochs.t):
             if self._tracker.start(epochs).any():
