@@ -9,7 +9,7 @@ from fleetalign.align.filters import FILTERS, align
 from fleetalign.align.inputs import AlignmentInput
 from fleetalign.align.settings import FilterSettings
 from fleetalign.cosim.run import fixes_of, simulate
-from fleetalign.cosim.scenario import ScenarioError, replaced
+from fleetalign.cosim.scenario import ScenarioError, load_scenario, replaced
 from fleetalign.network.attacks import Forgery, Replay, Tampering, attacked
 from fleetalign.network.authentication import TAG_BYTES, Authentication, genuine, tags
 from fleetalign.network.fixes import concatenate, read_fixes, write_fixes
@@ -155,6 +155,38 @@ def test_late_packets_that_are_fresh_are_taken(run):
     sent = replace(run.fixes, t_arrival=run.fixes.t_stamp + 0.15)
     assert genuine(sent, tags(sent, KEYED), KEYED).all()
     assert not genuine(replace(sent, t_arrival=sent.t_stamp + 0.25), tags(sent, KEYED), KEYED).any()
+
+
+def test_packets_from_the_future_are_not_taken(run):
+    # Clocks that agree to less than 1 ms are no future; what is beyond would last for longer than it may.
+    for ahead_s, taken in ((5e-4, True), (2e-3, False), (0.1, False)):
+        sent = replace(run.fixes, t_arrival=run.fixes.t_stamp - ahead_s)
+        assert (genuine(sent, tags(sent, KEYED), KEYED) == taken).all()
+
+
+def test_clocks_that_jump_a_second_ahead_do_not_let_old_packets_in(flight):
+    # Sent again 0.9 s later, packets look 0.1 s ahead of their arrival.
+    changes = {
+        "variants": {},
+        "fixes.fleet": {"nodes": 16, "anchor_share": 0.44},
+        "fixes.authentication": {"key_hex": "5a" * 32},
+        "fixes.faults.clock_jumps": [{"nodes": list(range(1, 16)), "at_s": 2.0, "jump_us": 1e6}],
+        "fixes.faults.attacks": [
+            {"kind": "replayed", "after_s": 0.9, "share": 1.0, "original_lost": True, "start_s": 2.5}
+        ],
+        "alignment.duration_s": 5.0,
+        "alignment.filters": ["ekf_stamped", "l2linf"],
+    }
+    run = simulate(replaced(load_scenario("network_faults")[1], changes), flight, 0, 3)
+    assert run.network is not None
+    fixes = run.fixes.sorted_by_arrival()
+    again = run.network.faults.replayed_arrival
+    assert len(again) > 10
+    young = np.isin(fixes.t_arrival, again) & (fixes.t_arrival - fixes.t_stamp < KEYED.fresh_s)
+    assert young.sum() == len(again)
+    for estimate in run.estimates.values():
+        assert used(estimate, fixes, fixes.t_arrival) > 10
+        assert used(estimate, fixes, again) == 0
 
 
 def test_tags_change_nothing_where_nobody_attacks(flight, gao2009):

@@ -185,6 +185,29 @@ def test_many_who_are_off_together_are_no_liars(path):
 
 
 def test_who_was_left_out_without_cause_is_asked_back(path):
+    # Three of seven drift alike. At first an honest anchor is taken for a liar; 5 s later they are found.
+    lie = {"kind": "ramp", "anchor_share": 0.4}
+    fleet = {"nodes": 16, "anchor_share": 0.44}
+    _, record = fly(path, network([lie], fleet=fleet, rate_hz=5.0), 14.0, 4)
+    told = record.faults
+    [honest] = np.flatnonzero(told.left_out_without_cause)
+    assert np.isnan(told.lying_s[honest])
+    assert not told.out_without_cause.any()
+    after, false = caught(record)
+    assert false == 1
+    assert len(after) == 3
+    assert np.isfinite(after).all()
+    # Meanwhile it is located by the others, before and after that it is an anchor.
+    out_s = told.found_out[told.found_out[:, 0] == honest, 1]
+    back_s = np.nanmin(told.found_s)
+    out = (record.time >= out_s - 1e-6) & (record.time < back_s - 1e-6)
+    assert len(out_s) == 1
+    assert out.sum() > 10
+    assert set(record.outcome[out, honest]) == {NodeOutcome.LOCATED}
+    assert set(record.outcome[~out, honest]) == {NodeOutcome.ANCHOR}
+
+
+def test_whom_the_search_names_does_not_rest_on_who_was_left_out(path):
     # Two lie alike, and one honest anchor was taken for a liar before: with them out, it agrees with all.
     lie = {"kind": "offset", "anchor_share": 0.34}
     _, record = fly(path, network([lie]), 4.0)
