@@ -62,7 +62,9 @@ def _network(found: Mapping[str, Any] | None) -> str | None:
         told += f" after {mean:.1f} s, {most:.1f} s at most"
     if found["quarantined_at_end"] != found["quarantined"]:
         told += f" ({100 * found['quarantined_at_end']:.1f} % at the end)"
-    return f"{told}; {found['false_quarantines']} honest nodes were, {found['false_at_end']} at the end"
+    told += f"; {found['false_quarantines']} honest nodes were, {found['false_at_end']} at the end"
+    suspects = found["honest_suspects"]
+    return told + (f"; {suspects} stood back as suspects of a start" if suspects else "")
 
 
 _NAME = 13

@@ -167,6 +167,8 @@ def test_who_was_asked_back_was_left_out_all_the_same():
     assert (back["quarantined"], back["quarantined_at_end"]) == (1.0, 0.5)
     line = told_faults({"faults": {"x": {"against": None, "filters": {}, "network": back}}})[-1]
     assert "100.0 % of them were quarantined after 3.0 s, 4.0 s at most (50.0 % at the end)" in line
+    line = told_faults({"faults": {"x": {"against": None, "filters": {}, "network": found}}})[-1]
+    assert line.endswith("; 2 honest nodes were, 0 at the end; 1 stood back as suspects of a start")
 
 
 def test_the_table_keeps_to_80_columns_and_tells_all(run):
