@@ -18,6 +18,8 @@ _MOST_LINES = 6
 """Of one filter along an axis."""
 _MOST_CURVES = 40
 """Points whose convergence is drawn: more of them would be a blot."""
+_MOST_NAMED = 8
+"""Points whose numbers stand at the ends of their lines."""
 
 
 def draw_campaign(summary: CampaignSummary) -> dict[str, str]:
@@ -97,7 +99,11 @@ def _convergence(summary: CampaignSummary) -> Figure:
         for name, scores in _by_filter(summary).items():
             for number, score in enumerate(scores[:_MOST_CURVES]):
                 look: dict[str, Any] = {"color": filter_color(name), "linewidth": 0.8, "alpha": 0.7}
-                ax.plot(score.time_s, getattr(score, key), label=name if number == 0 else "_", **look)
+                rms = np.asarray(getattr(score, key))
+                ax.plot(score.time_s, rms, label=name if number == 0 else "_", **look)
+                if len(scores) <= _MOST_NAMED and len(rms) and np.isfinite(rms[-1]):
+                    end, aside = (score.time_s[-1], rms[-1]), {"textcoords": "offset points", "fontsize": 7}
+                    ax.annotate(str(score.point), end, (4, -2), **aside)
         ax.set(xlabel="time from the start of the alignment, s", ylabel=label)
         log_scale(ax)
     legend(figure, row[0])
