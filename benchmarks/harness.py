@@ -30,7 +30,7 @@ class Size:
     """Alignment runs of each repetition that compares numbers of cores."""
     campaign_runs: int = 10_000
     """Alignment runs of a campaign."""
-    dask_runs: int = 4_000
+    dask_runs: int = 2_000
     """Alignment runs of the campaigns that compare Dask with a pool."""
     coarse_runs: int = 200
     """Alignment runs from any heading."""
