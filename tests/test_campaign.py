@@ -12,6 +12,7 @@ import time
 from functools import partial
 
 import dask
+import distributed  # noqa: F401  (a setting that is changed for a time must have its default before)
 import numpy as np
 import psutil
 import pyarrow.parquet as pq
