@@ -206,8 +206,8 @@ def test_a_worker_may_die_while_a_result_is_kept(file, tmp_path):
 def test_a_command_that_is_stopped_goes_on_where_it_was(file, tmp_path):
     """By a kill that lets it tell nobody, by what a batch system sends, and by Ctrl-C, which a terminal sends
     to the workers, too."""
-    file.write_text(CAMPAIGN.replace("runs = 5", "runs = 30"))
-    folder, shards = tmp_path / "out", 2 * 15
+    file.write_text(CAMPAIGN.replace("runs = 5", "runs = 200"))
+    folder, shards = tmp_path / "out", 2 * 100
     options = ["campaign", str(file), "--out", str(folder), "--quiet", "--resume"]
     line = [sys.executable, "-m", "fleetalign.cosim.cli", *options]
     for least, number in ((1, signal.SIGKILL), (3, signal.SIGTERM), (5, signal.SIGINT)):
@@ -231,7 +231,7 @@ def test_a_command_that_is_stopped_goes_on_where_it_was(file, tmp_path):
             assert process.returncode == -signal.SIGKILL
         else:
             assert process.returncode == 1
-            assert err == f"stopped; {2 * kept} of 60 runs are kept, go on with --resume\n"
+            assert err == f"stopped; {2 * kept} of 400 runs are kept, go on with --resume\n"
     # What a dying disk leaves: a shard that ends early.
     first = next((folder / "shards").iterdir())
     first.write_bytes(first.read_bytes()[:100])
@@ -243,7 +243,7 @@ def test_a_command_that_is_stopped_goes_on_where_it_was(file, tmp_path):
             ledger.add(shard, whole[shard.name])
     assert contents(folder) == whole
     rows = [row for _, table in read_points(folder) for row in table.to_pylist()]
-    assert len(rows) == len({(r["point"], r["run"], r["filter"]) for r in rows}) == 2 * 30 * 2
+    assert len(rows) == len({(r["point"], r["run"], r["filter"]) for r in rows}) == 2 * 200 * 2
 
 
 def test_a_worker_ends_with_the_main_process_even_one_that_begins_after_it():
@@ -459,7 +459,7 @@ def scheduler(tmp_path):
     at = tmp_path / "scheduler.json"
     command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
     process = subprocess.Popen(
-        [*command, "--no-dashboard", "--scheduler-file", str(at)],
+        [*command, "--dashboard-address", "127.0.0.1:0", "--scheduler-file", str(at)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

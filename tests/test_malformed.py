@@ -241,8 +241,10 @@ class Mutant:
         if place[-1] in ("kind", "experiment"):
             return True
         names = [part for key in place if isinstance(key, str) for part in [*key.split("."), key]]
-        return any(name[:40] in line for name in names if name) or (
-            place[-1] == "" and "unknown field" in line
+        return (
+            any(name[:40] in line for name in names if name)
+            or (place[-1] == "" and "unknown field" in line)
+            or (place[0] == "variants" and "variant '" in line)
         )
 
 

@@ -54,7 +54,8 @@ def on_cluster(
                 n_workers=workers,
                 threads_per_worker=1,
                 host=LOCALHOST,
-                dashboard_address=None,
+                # Of its pages, which it serves whether or not anybody asks: on any free port, and here alone.
+                dashboard_address=f"{LOCALHOST}:0",
                 scheduler_port=0,
             )
         finally:
