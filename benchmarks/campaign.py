@@ -141,8 +141,10 @@ def _timed(
     campaign: Campaign, done_by: Callable[[Campaign, list[Shard]], Iterator[tuple[Shard, bytes]]]
 ) -> _Whole:
     whole = _Whole(campaign.settings.runs)
-    with tempfile.TemporaryDirectory() as folder:
-        ledger = Ledger(Path(folder), campaign, resume=False)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Ledger(Path(folder), campaign, resume=False) as ledger,
+    ):
         keep = ledger.add
 
         def add(shard: Shard, content: bytes) -> None:
