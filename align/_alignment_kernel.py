@@ -84,8 +84,9 @@ def align(
     outputs : tuple of X (m, 22), variances (m, n), misalignment covariance (m, 3, 3), innovation (k, 6),
         nis (k,), fix time (k,), fix jump (k,), status (m,) and jump (m,), see `estimate.Estimate`; what is
         not reached keeps what it had.
-    memory : new `_memory.working_memory`.
-    cubature : new `_cubature_kernel.points_memory`, for a filter by cubature points instead of derivatives;
+    memory : `_memory.working_memory` of so many fixes and epochs, or more; what it has from another record
+        is not looked at.
+    cubature : `_cubature_kernel.points_memory`, for a filter by cubature points instead of derivatives;
         the loop is compiled for each of the two, without the other's branches.
     """
     fix_lla, fix_v_n, fix_cov, t_reference, arrival_epoch, reference_epoch, packet, source, sequence = fixes
@@ -98,6 +99,13 @@ def align(
     kept, n_applied = len(X_kept), 0
     rooted = False if cubature is None else cubature[0]
     running, now, arriving, output = False, 0, 0, 0
+    for i in range(len(X)):
+        X[i] = 0.0
+    for i in range(len(P)):
+        for j in range(len(P)):
+            P[i, j] = 0.0
+    for f in range(n_fixes):
+        seen[f], newest[f] = False, -1
     t_aided, jump, hopeless = -math.inf, 0.0, False
 
     for k in range(n):

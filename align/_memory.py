@@ -9,8 +9,8 @@ from ._kernels import N_X
 
 
 def working_memory(n_fixes, kept, n_states):
-    """Those of `_alignment_kernel.align`: state, kept states, bookkeeping of the fixes, the navigation
-    without the latest, and steps' own."""
+    """Those of `_alignment_kernel.align`: state, ``kept`` states, bookkeeping of the fixes, the navigation
+    without the latest, and steps' own; for one record, or for one after the other."""
     return (
         np.zeros(N_X),
         np.zeros((n_states, n_states)),
@@ -19,7 +19,7 @@ def working_memory(n_fixes, kept, n_states):
         np.zeros(n_fixes, np.int64),
         np.zeros(n_fixes, np.int64),
         np.zeros(n_fixes, np.bool_),
-        np.full(n_fixes, -1, np.int64),
+        np.zeros(n_fixes, np.int64),
         (np.zeros(N_X), np.zeros(n_states), np.zeros(n_states)),
         *steps_memory(n_states),
     )

@@ -21,9 +21,11 @@ References
 .. [3] I. Arasaratnam, S. Haykin, "Cubature Kalman Filters", IEEE Transactions on Automatic Control 54 (2009).
 """
 
+from collections.abc import Sequence
+
 from .estimate import Estimate
 from .inputs import AlignmentInput
-from .problem import pose, run, to_the_end
+from .problem import pose, run_all, to_the_end
 from .settings import DelayModel, Transform
 
 FILTERS = {"ekf": DelayModel.IGNORED, "ekf_stamped": DelayModel.STAMPED, "l2linf": DelayModel.ESTIMATED}
@@ -37,17 +39,23 @@ CUBATURE_FILTERS = {
 
 
 def align(given: AlignmentInput, delay: DelayModel, transform: Transform = Transform.DERIVATIVES) -> Estimate:
-    """Align over one record, as it would happen: a fix counts from its arrival on.
+    """Align over one record, see `align_all`."""
+    return align_all([given], delay, transform)[0]
+
+
+def align_all(
+    given: Sequence[AlignmentInput], delay: DelayModel, transform: Transform = Transform.DERIVATIVES
+) -> list[Estimate]:
+    """Align over each of several records of one ``settings``, as it would happen: a fix counts from its
+    arrival on.
 
     ``delay`` : how to treat delays. ``transform`` : how covariances are carried.
 
     The first fix starts position and velocity; after ``restart_after_gated`` refused ones in a row the next
     one does so again, with the attitude of then and the uncertainty of the start.
 
-    Returns the estimate at ``output_rate_hz`` and at the end. Samples and fixes that are broken never enter
+    Returns the estimates at ``output_rate_hz`` and at the end. Samples and fixes that are broken never enter
     the state; both are counted.
     """
-    problem = pose(given, delay)
-    horizon = round(given.settings.horizon_s / problem.dt)
-    kept = horizon + 1 if delay is DelayModel.STAMPED else 1
-    return to_the_end(problem, run(problem, horizon, kept, transform)[0])
+    problems = [pose(one, delay) for one in given]
+    return [to_the_end(*found) for found in zip(problems, run_all(problems, transform), strict=True)]

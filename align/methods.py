@@ -1,10 +1,10 @@
 """Alignment methods by name: what a scenario can ask for.
 
-A method takes an `AlignmentInput` to an `Estimate`.
+A method takes each `AlignmentInput` to an `Estimate`.
 """
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from .coarse import align_in_motion
 from .estimate import HISTORIES, Estimate, NavStatus, RunOutcome
-from .filters import CUBATURE_FILTERS, FILTERS, align
+from .filters import CUBATURE_FILTERS, FILTERS, align_all
 from .inputs import AlignmentInput
 from .problem import pose, to_the_end, unaligned
 from .settings import DelayModel, Transform
@@ -24,11 +24,18 @@ class Method:
     """One way to align."""
 
     about: str
-    run: Callable[[AlignmentInput], Estimate]
+    run: Callable[[Sequence[AlignmentInput]], list[Estimate]]
+    """Over several records of one ``settings``."""
     delay: DelayModel
     """How it treats delays."""
     in_flight: bool = True
     """Whether it runs as fixes arrive, and does not need the whole record."""
+
+
+def _each(
+    align: Callable[[AlignmentInput], Estimate],
+) -> Callable[[Sequence[AlignmentInput]], list[Estimate]]:
+    return lambda given: [align(one) for one in given]
 
 
 _POINTS = {Transform.CUBATURE: "cubature points", Transform.SQUARE_ROOT: "points and square roots"}
@@ -56,27 +63,32 @@ def _ekf_ten(given: AlignmentInput) -> Estimate:
 
 METHODS = {
     **{
-        name: Method(f"error-state filter, delay {delay.name.lower()}", partial(align, delay=delay), delay)
+        name: Method(
+            f"error-state filter, delay {delay.name.lower()}", partial(align_all, delay=delay), delay
+        )
         for name, delay in FILTERS.items()
     },
     "smoother": Method(
-        "fixed-interval smoother, for review after the flight", smooth, DelayModel.STAMPED, in_flight=False
+        "fixed-interval smoother, for review after the flight",
+        _each(smooth),
+        DelayModel.STAMPED,
+        in_flight=False,
     ),
     "l2linf_lmi": Method(
         "the paper's ten states, constant gain by an LMI",
-        partial(_designed, scheduled=False),
+        _each(partial(_designed, scheduled=False)),
         DelayModel.IGNORED,
     ),
     "l2linf_lmi_scheduled": Method(
         "the same, gains over the force to the side",
-        partial(_designed, scheduled=True),
+        _each(partial(_designed, scheduled=True)),
         DelayModel.IGNORED,
     ),
-    "ekf_ten": Method("EKF on the paper's ten states", _ekf_ten, DelayModel.IGNORED),
+    "ekf_ten": Method("EKF on the paper's ten states", _each(_ekf_ten), DelayModel.IGNORED),
     **{
         name: Method(
             f"error-state filter by {_POINTS[transform]}, delay {delay.name.lower()}",
-            partial(align, delay=delay, transform=transform),
+            partial(align_all, delay=delay, transform=transform),
             delay,
         )
         for name, (delay, transform) in CUBATURE_FILTERS.items()
@@ -86,7 +98,12 @@ METHODS = {
 
 
 def estimate(name: str, given: AlignmentInput) -> Estimate:
-    """Align over one record by the method of that name.
+    """Align over one record by the method of that name, see `estimates`."""
+    return estimates(name, [given])[0]
+
+
+def estimates(name: str, given: Sequence[AlignmentInput]) -> list[Estimate]:
+    """Align over each of several records of one ``settings`` by the method of that name.
 
     With ``settings.coarse_stage`` "in_motion" the coarse attitude is not looked at: it is found from the
     record first. A filter then runs from the start of the record, as a navigator does that has kept it; what
@@ -94,13 +111,17 @@ def estimate(name: str, given: AlignmentInput) -> Estimate:
     afterwards.
     """
     method = METHODS[name]
-    if given.settings.coarse_stage == "none":
+    if all(one.settings.coarse_stage == "none" for one in given):
         return method.run(given)
+    return [_from_coarse_stage(method, one) for one in given]
+
+
+def _from_coarse_stage(method: Method, given: AlignmentInput) -> Estimate:
     problem = pose(given, method.delay)
     found = align_in_motion(problem)
     if found is None:
         return to_the_end(problem, unaligned(problem, RunOutcome.NO_COARSE))
-    fine = method.run(replace(given, q_nb_coarse=found.q_nb))
+    (fine,) = method.run([replace(given, q_nb_coarse=found.q_nb)])
     return _known_from(fine, found.time) if method.in_flight else fine
 
 

@@ -1,5 +1,6 @@
 """An alignment as the compiled loops take it, with one way to treat delays; and its run."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
@@ -37,6 +38,8 @@ class Problem(NamedTuple):
     gate: float
     patience: int
     dead_reckoning_after: float
+    horizon: int
+    """Epochs by which a stamped fix may be late."""
     samples: int
     """Intervals over which specific force and rate are averaged."""
     gravity: int
@@ -50,6 +53,11 @@ class Problem(NamedTuple):
     def dt(self) -> float:
         """Mean interval, s."""
         return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
+
+    @property
+    def kept(self) -> int:
+        """Epochs of which state and covariance are kept."""
+        return self.horizon + 1 if self.delay is DelayModel.STAMPED else 1
 
 
 def pose(given: AlignmentInput, delay: DelayModel) -> Problem:
@@ -81,6 +89,7 @@ def pose(given: AlignmentInput, delay: DelayModel) -> Problem:
         gate=_gate(settings.gate_probability),
         patience=settings.restart_after_gated,
         dead_reckoning_after=settings.dead_reckoning_after_s,
+        horizon=round(settings.horizon_s / dt),
         samples=max(1, round(settings.acceleration_window_s / dt)),
         gravity=int(given.gravity),
         output_epoch=before,
@@ -90,17 +99,37 @@ def pose(given: AlignmentInput, delay: DelayModel) -> Problem:
     )
 
 
+def run_all(problems: Sequence[Problem], transform: Transform = Transform.DERIVATIVES) -> list[Estimate]:
+    """Run the filter over several records, of one ``settings``.
+
+    One working memory serves them all, and the loops follow each other: both stay in a processor's caches.
+    """
+    if not problems:
+        return []
+    fixes, kept = max(len(one.outcome) for one in problems), max(one.kept for one in problems)
+    memory = _memory.working_memory(fixes, kept, len(problems[0].initial_sd))
+    outputs = [_outputs(one) for one in problems]
+    outcomes = [_run(one, of_one, memory, transform) for one, of_one in zip(problems, outputs, strict=True)]
+    return [_estimate(*of_one) for of_one in zip(problems, outputs, outcomes, strict=True)]
+
+
 def run(
-    problem: Problem, horizon: int, kept: int, transform: Transform = Transform.DERIVATIVES
+    problem: Problem, transform: Transform = Transform.DERIVATIVES
 ) -> tuple[Estimate, tuple[Array, Array]]:
-    """Run the filter; also state (kept, 22) and covariance (kept, n, n) of the last ``kept`` epochs, each
-    before its fixes, at the epoch's number modulo ``kept``."""
+    """Run the filter; also state (`Problem.kept`, 22) and covariance (`Problem.kept`, n, n) of the last
+    epochs, each before its fixes, at the epoch's number modulo `Problem.kept`."""
+    memory = _memory.working_memory(len(problem.outcome), problem.kept, len(problem.initial_sd))
     outputs = _outputs(problem)
-    states = len(problem.initial_sd)
-    memory = _memory.working_memory(len(problem.outcome), kept, states)
+    return _estimate(problem, outputs, _run(problem, outputs, memory, transform)), memory[2:4]
+
+
+def _run(
+    problem: Problem, outputs: tuple[Any, ...], memory: tuple[Any, ...], transform: Transform
+) -> RunOutcome:
     cubature = None
     if transform is not Transform.DERIVATIVES:
-        cubature = _cubature_kernel.points_memory(states, transform is Transform.SQUARE_ROOT)
+        rooted = transform is Transform.SQUARE_ROOT
+        cubature = _cubature_kernel.points_memory(len(problem.initial_sd), rooted)
     started, finite_to_the_end = _alignment_kernel.align(
         problem.time,
         problem.increments,
@@ -117,7 +146,7 @@ def run(
         problem.gate,
         problem.patience,
         problem.dead_reckoning_after,
-        horizon,
+        problem.horizon,
         problem.samples,
         problem.gravity,
         problem.output_epoch,
@@ -125,8 +154,9 @@ def run(
         memory,
         cubature,
     )
-    ending = RunOutcome.ALIGNED if finite_to_the_end else RunOutcome.NOT_FINITE
-    return _estimate(problem, outputs, ending if started else RunOutcome.NO_FIX), memory[2:4]
+    if not started:
+        return RunOutcome.NO_FIX
+    return RunOutcome.ALIGNED if finite_to_the_end else RunOutcome.NOT_FINITE
 
 
 def unaligned(problem: Problem, outcome: RunOutcome) -> Estimate:

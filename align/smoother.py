@@ -72,8 +72,7 @@ def _smoothed(problem: Problem, filtered: Estimate, kept: tuple[Array, Array]) -
 
 
 def _filtered(problem: Problem) -> tuple[Estimate, tuple[Array, Array]]:
-    n = len(problem.time)
-    return run(problem, horizon=n, kept=n)
+    return run(problem._replace(horizon=len(problem.time)))
 
 
 def _applied(problem: Problem) -> Integers:

@@ -4,45 +4,42 @@ import multiprocessing
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
+from typing import Self
 
 import psutil
 from fleetalign.aircraft.cache import cached_flight
 from fleetalign.align import problem
 from fleetalign.align.filters import FILTERS
-from fleetalign.align.inputs import AlignmentInput
-from fleetalign.align.settings import DelayModel
 from fleetalign.cosim.campaign import engine
 from fleetalign.cosim.campaign.cluster import on_cluster
 from fleetalign.cosim.campaign.ledger import Ledger
 from fleetalign.cosim.campaign.plan import Campaign, CampaignFile, Shard
-from fleetalign.cosim.campaign.shard import encoded, shard_rows
-from fleetalign.cosim.run import alignment_window, simulate
+from fleetalign.cosim.campaign.shard import TOGETHER, encoded, shard_rows
+from fleetalign.cosim.run import measured
 from fleetalign.cosim.scenario import Scenario
 
 from .harness import Harness, Row
 from .material import SEED, Material
 
 KERNEL_TARGET, LEDGER_TARGET, MEMORY_TARGET, DASK_TARGET = 0.90, 0.02, 1.10, 0.85
+PAUSES = 20
+"""Of a campaign, in which its parts are timed alone: the machine's pace drifts."""
 _SHARD_RUNS = 25
-_PREPARED = 8
-"""Runs whose posed problems a process holds ready to time the compiled loops alone."""
 
 
 def rows(harness: Harness, material: Material) -> list[Row]:
     """Rates of a campaign, of its runs alone and of the compiled loops alone; ledger, memory, Dask."""
     size, cores = harness.size, os.cpu_count() or 1
     scenario = material.scenario
-    share = max(size.campaign_runs // 10, cores)
-    # The machine's pace drifts: what is compared with the campaign is timed before and after it.
-    before = _rates(scenario, share, cores)
-    whole = _timed(_campaign(scenario, size.campaign_runs), engine.locally)
-    after = _rates(scenario, share, cores)
-    kernel, runs = ((a + b) / 2 for a, b in zip(before, after, strict=True))
+    with _Alone(scenario, cores, size.campaign_runs // (2 * PAUSES)) as alone:
+        whole = _timed(_campaign(scenario, size.campaign_runs), engine.locally, alone)
+    kernel, runs = alone.rates
     encoding = _encoding_seconds(scenario) * size.campaign_runs
     ledger = (whole.ledger_s + encoding) / (cores * whole.seconds)
     first, last = whole.memory_mb(0.0, 0.1), whole.memory_mb(0.9, 1.0)
@@ -67,7 +64,8 @@ def rows(harness: Harness, material: Material) -> list[Row]:
             f"{KERNEL_TARGET:.2f} or more",
             whole.rate / kernel >= KERNEL_TARGET,
             f"`run_campaign` on {cores} processes, their start included, with sensors, fixes, scores and"
-            " shards, against the compiled filter loops on records that stand ready, in as many processes.",
+            " shards, against the compiled filter loops on records that stand ready, in as many processes,"
+            f" timed in {PAUSES} pauses of the campaign, since a machine's pace drifts.",
         ),
         Row(
             f"Campaign of {size.campaign_runs:,} runs, {filters} filters, against its runs",
@@ -138,9 +136,12 @@ def _campaign(scenario: Scenario, runs: int) -> Campaign:
 
 
 def _timed(
-    campaign: Campaign, done_by: Callable[[Campaign, list[Shard]], Iterator[tuple[Shard, bytes]]]
+    campaign: Campaign,
+    done_by: Callable[[Campaign, list[Shard]], Iterator[tuple[Shard, bytes]]],
+    alone: "_Alone | None" = None,
 ) -> _Whole:
-    whole = _Whole(campaign.settings.runs)
+    """Do a campaign in a folder that is taken away again; in its pauses ``alone`` is timed."""
+    whole, paused_s, pauses = _Whole(campaign.settings.runs), 0.0, 0
     with (
         tempfile.TemporaryDirectory() as folder,
         Ledger(Path(folder), campaign, resume=False) as ledger,
@@ -152,29 +153,79 @@ def _timed(
             keep(shard, content)
             whole.ledger_s += time.perf_counter() - since
 
+        def progress(done: float, total: float) -> None:
+            nonlocal paused_s, pauses
+            workers = _workers(alone)
+            memory = sum(process.memory_info().rss for process in (psutil.Process(), *workers))
+            whole.memory.append((done / total, memory / 1e6))
+            if alone and done / total > (pauses + 0.5) / PAUSES:
+                since = time.perf_counter()
+                with _stopped(workers):
+                    alone.sample()
+                pauses += 1
+                paused_s += time.perf_counter() - since
+
         ledger.add = add
-        whole.seconds = -time.perf_counter()
-        engine.run_campaign(
-            campaign,
-            ledger,
-            done_by,
-            lambda done, total: whole.memory.append((done / total, _resident_mb())),
-        )
-        whole.seconds += time.perf_counter()
+        since = time.perf_counter()
+        engine.run_campaign(campaign, ledger, done_by, progress)
+        whole.seconds = time.perf_counter() - since - paused_s
     return whole
 
 
-def _resident_mb() -> float:
-    own = psutil.Process()
-    return sum(process.memory_info().rss for process in (own, *own.children(recursive=True))) / 1e6
+def _workers(alone: "_Alone | None") -> list[psutil.Process]:
+    """The processes that do a campaign."""
+    others = alone.processes if alone else ()
+    return [one for one in psutil.Process().children(recursive=True) if one.pid not in others]
 
 
-def _rates(scenario: Scenario, runs: int, cores: int) -> list[float]:
-    """Runs a second of so many processes side by side, without their start: loops alone, runs alone."""
-    each = max(runs // cores, 1)
-    with ProcessPoolExecutor(cores, mp_context=multiprocessing.get_context("spawn")) as pool:
+@contextmanager
+def _stopped(processes: list[psutil.Process]) -> Iterator[None]:
+    for process in processes:
+        process.suspend()
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.resume()
+
+
+class _Alone:
+    """What a campaign is compared with, in as many processes: compiled loops, and runs with their rows."""
+
+    def __init__(self, scenario: Scenario, cores: int, runs: int) -> None:
+        self._each = max(runs // cores, 1)
+        self._asked = [scenario] * cores
+        self._pool = ProcessPoolExecutor(cores, mp_context=multiprocessing.get_context("spawn"))
+        self._seen: list[list[float]] = []
+
+    def __enter__(self) -> Self:
+        # Compiled code is loaded, and records are made, before anything is timed.
+        self._rates(1)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown()
+
+    @property
+    def processes(self) -> Collection[int]:
+        """Their numbers."""
+        return self._pool._processes.keys()  # pyright: ignore[reportPrivateUsage]
+
+    def sample(self) -> None:
+        """Time a few."""
+        self._seen.append(self._rates(self._each))
+
+    @property
+    def rates(self) -> tuple[float, float]:
+        """Runs a second, over all samples: of the loops alone, and of runs with their rows."""
+        loops, runs = (
+            len(self._seen) / sum(1 / rate for rate in seen) for seen in zip(*self._seen, strict=True)
+        )
+        return loops, runs
+
+    def _rates(self, each: int) -> list[float]:
         return [
-            sum(each / seconds for seconds in pool.map(partial(of, runs=each), [scenario] * cores))
+            sum(each / seconds for seconds in self._pool.map(partial(of, runs=each), self._asked))
             for of in (_kernel_seconds, _run_seconds)
         ]
 
@@ -188,24 +239,24 @@ def _run_seconds(scenario: Scenario, runs: int) -> float:
 
 def _kernel_seconds(scenario: Scenario, runs: int) -> float:
     """Of the compiled loops of all filters over so many runs."""
-    flight, _ = cached_flight(scenario.flight)
-    window = alignment_window(scenario, flight)
-    settings, gravity = scenario.alignment.settings, scenario.alignment.gravity_model(window.gravity)
-    posed = []
-    for run in (simulate(scenario, flight, i, SEED) for i in range(min(runs, _PREPARED))):
-        measured = run.imu.time, run.imu.dtheta_b, run.imu.dv_b, run.q_nb_coarse, run.fixes
-        given = AlignmentInput.checked(*measured, settings, scenario.imu, gravity)
-        posed.append([problem.pose(given, FILTERS[name]) for name in scenario.alignment.filters])
-    horizon = round(settings.horizon_s / window.dt)
     seconds = 0.0
-    for i in range(runs):
-        for one in posed[i % len(posed)]:
+    for first in range(0, runs, TOGETHER):
+        for of_filter in _posed(scenario.model_dump_json()):
             # A run fills in the outcomes.
-            fresh = one._replace(outcome=one.outcome.copy())
+            fresh = [one._replace(outcome=one.outcome.copy()) for one in of_filter[: runs - first]]
             since = time.perf_counter()
-            problem.run(fresh, horizon, horizon + 1 if one.delay is DelayModel.STAMPED else 1)
+            problem.run_all(fresh)
             seconds += time.perf_counter() - since
     return seconds
+
+
+@cache
+def _posed(scenario: str) -> list[list[problem.Problem]]:
+    """The problems of `TOGETHER` runs, a list of each filter."""
+    stated = Scenario.model_validate_json(scenario)
+    flight, _ = cached_flight(stated.flight)
+    given = [measured(stated, flight, i, SEED)[1] for i in range(TOGETHER)]
+    return [[problem.pose(one, FILTERS[name]) for one in given] for name in stated.alignment.filters]
 
 
 def _encoding_seconds(scenario: Scenario) -> float:

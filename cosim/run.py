@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 
@@ -18,7 +18,7 @@ from ..aircraft.flight import Flight
 from ..align.bridging.outage import bridged
 from ..align.estimate import Array, Estimate
 from ..align.inputs import AlignmentInput
-from ..align.methods import METHODS, estimate
+from ..align.methods import METHODS, estimates
 from ..align.settings import FilterSettings
 from ..network import packet_faults
 from ..network.fixes import Fixes
@@ -79,29 +79,42 @@ def alignment_window(scenario: Scenario, flight: Flight) -> Flight:
 
 def simulate(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> Run:
     """One run over the alignment window of a flight."""
+    return aligned([measured(scenario, flight, run_id, seed)], scenario, flight)[0]
+
+
+def measured(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> tuple[Run, AlignmentInput]:
+    """One run before its filters: no estimates yet, and what they are to be made from."""
     window = alignment_window(scenario, flight)
     imu = simulate_imu(window.time, window.dtheta_b, window.dv_b, scenario.imu, seed_of(seed, run_id, "imu"))
     imu = imu_faults.faulty(imu, scenario.faults.imu)
     fixes, network = fixes_of(scenario, flight, run_id, seed)
     rng = generator(seed, run_id, "coarse attitude")
     q_nb_coarse = coarse_attitude(window.q_nb[0], scenario.alignment.coarse, rng)
-    gravity = scenario.alignment.gravity_model(window.gravity)
-    outages = outage_times(scenario, window)
-    estimates: dict[str, Estimate] = {}
-    bridging = scenario.alignment.bridging
-    measured = imu.time, imu.dtheta_b, imu.dv_b, q_nb_coarse, fixes
-    until_s = float(window.time[-1])
-    given = AlignmentInput.checked(*measured, scenario.alignment.settings, scenario.imu, gravity, until_s)
-    for name in scenario.alignment.filters:
-        found = estimate(name, given)
-        if METHODS[name].in_flight:  # what knows the whole record has nothing to bridge
-            found = bridged(found, given.record, gravity, outages, bridging)
-        estimates[name] = found
     outlier = None
     if scenario.faults.packets.at_work:
         rng = generator(seed, run_id, "packet faults")
         outlier = packet_faults.outliers(fixes, scenario.faults.packets, rng)
-    return Run(run_id, imu, fixes, q_nb_coarse, estimates, network, outlier)
+    record = imu.time, imu.dtheta_b, imu.dv_b, q_nb_coarse, fixes
+    gravity, until_s = scenario.alignment.gravity_model(window.gravity), float(window.time[-1])
+    given = AlignmentInput.checked(*record, scenario.alignment.settings, scenario.imu, gravity, until_s)
+    return Run(run_id, imu, fixes, q_nb_coarse, {}, network, outlier), given
+
+
+def aligned(runs: Sequence[tuple[Run, AlignmentInput]], scenario: Scenario, flight: Flight) -> list[Run]:
+    """Runs, as `measured` has them, with the estimates of the scenario's filters."""
+    outages = outage_times(scenario, alignment_window(scenario, flight))
+    given, bridging = [one for _, one in runs], scenario.alignment.bridging
+    found = {name: estimates(name, given) for name in scenario.alignment.filters}
+    for name in found:
+        if METHODS[name].in_flight:  # what knows the whole record has nothing to bridge
+            found[name] = [
+                bridged(one, of_one.record, of_one.gravity, outages, bridging)
+                for one, of_one in zip(found[name], given, strict=True)
+            ]
+    return [
+        replace(run, estimates={name: of_runs[i] for name, of_runs in found.items()})
+        for i, (run, _) in enumerate(runs)
+    ]
 
 
 def fixes_of(
@@ -215,7 +228,7 @@ def compile_loops(filters: Sequence[str], network: bool) -> None:
     rest = np.arange(2.0), nothing, nothing, np.array([1.0, 0.0, 0.0, 0.0]), fixes
     given = AlignmentInput.checked(*rest, FilterSettings(), ImuErrors(), GravityModel.J2)
     for name in filters:
-        estimate(name, given)
+        estimates(name, [given])
 
 
 class _Rest:

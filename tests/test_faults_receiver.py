@@ -487,7 +487,7 @@ def check_run(record, delay, transform, scenario):
     settings = scenario.alignment.settings
     problem = pose(AlignmentInput.checked(*record, settings, scenario.imu, GravityModel.J2), delay)
     kept = 201 if delay is DelayModel.STAMPED else 1
-    found, (_, P) = align_problem(problem, kept - 1, kept, transform)
+    found, (_, P) = align_problem(problem._replace(horizon=kept - 1), transform)
     assert found.outcome is RunOutcome.ALIGNED
     P = P @ P.swapaxes(1, 2) if transform is Transform.SQUARE_ROOT else P
     check_covariances(P[:, : KNOWN[delay], : KNOWN[delay]])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fleetalign.align import _kernels, _memory, measurement
 from fleetalign.align.estimate import FixOutcome, RunOutcome
-from fleetalign.align.filters import align
+from fleetalign.align.filters import align, align_all
 from fleetalign.align.inputs import AlignmentInput
 from fleetalign.align.settings import DelayModel, FilterSettings
 from fleetalign.cosim.run import coarse_attitude, generator, simulate
@@ -38,6 +38,35 @@ def run(record, fixes=None, delay=DelayModel.STAMPED, imu=None, settings=SETTING
     fixes = record_fixes if fixes is None else fixes
     measured = imu.time, imu.dtheta_b, imu.dv_b, q_nb_coarse, fixes
     return align(AlignmentInput.checked(*measured, settings, errors, GravityModel.J2), delay)
+
+
+def bits(estimate):
+    return {name: np.asarray(value).tobytes() for name, value in vars(estimate).items()}
+
+
+@pytest.mark.parametrize("delay", DelayModel)
+def test_records_that_are_aligned_together_do_not_touch_each_other(record, delay):
+    """They share a working memory, whatever a run has left there: one that was lost, one of fewer fixes, one
+    that never starts, one with copies."""
+    imu, q_nb_coarse, fixes = record
+    beyond = replace(fixes, v_n=1e300 * fixes.v_n)
+    given = [
+        AlignmentInput.checked(
+            imu.time, imu.dtheta_b, imu.dv_b, q_nb_coarse, some, SETTINGS, ERRORS, GravityModel.J2
+        )
+        for some in (beyond, fixes[3::3], fixes[:0], concatenate([fixes, fixes]), fixes)
+    ]
+    together = align_all(given, delay)
+    outcomes = (
+        RunOutcome.NOT_FINITE,
+        RunOutcome.ALIGNED,
+        RunOutcome.NO_FIX,
+        RunOutcome.ALIGNED,
+        RunOutcome.ALIGNED,
+    )
+    assert tuple(found.outcome for found in together) == outcomes
+    for found, alone in zip(together, (align(one, delay) for one in given), strict=True):
+        assert bits(found) == bits(alone)
 
 
 def assert_ends_alike(a, b, atol=0.0):

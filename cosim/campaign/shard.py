@@ -1,6 +1,7 @@
 """Some runs of one point, as rows of a Parquet file: the same bytes wherever they are done."""
 
 import io
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -14,7 +15,7 @@ from ...aircraft.cache import cached_flight
 from ...aircraft.flight import Flight
 from ...aircraft.mission import FlightPlan
 from ...align.estimate import Array, Estimate
-from ..run import Run, alignment_window, simulate
+from ..run import Run, aligned, alignment_window, measured
 from ..scenario import Scenario
 from ..score import COLUMNS, SCORED, Scorer
 from .incidents import FIELDS, incidents
@@ -22,6 +23,9 @@ from .plan import Shard
 
 CURVE_HZ = 1.0
 """Rate of the kept histories of level and heading errors."""
+TOGETHER = 25
+"""Runs whose stages are done one after the other: code and tables stay in a processor's caches from run to
+run, and memory does not grow with a shard."""
 SCHEMA = pa.schema(
     [
         ("point", pa.int32()),
@@ -58,23 +62,41 @@ def shard_rows(scenario: Scenario, shard: Shard) -> list[dict[str, Any]]:
     except Exception as error:
         runs = range(shard.first_run, shard.first_run + shard.runs)
         return [row for run in runs for row in failed_rows(scenario, shard.point, run, _told(error))]
-    done: dict[int, _Done] = {}
+    ids = range(shard.first_run, shard.first_run + shard.runs)
+    return [
+        row
+        for first in range(0, len(ids), TOGETHER)
+        for row in _rows_together(scenario, flight, window, shard.point, ids[first : first + TOGETHER])
+    ]
+
+
+def _rows_together(
+    scenario: Scenario, flight: Flight, window: Flight, point: int, ids: range
+) -> list[dict[str, Any]]:
+    """Rows of a few runs, each stage done for all of them before the next."""
     rows: dict[int, list[dict[str, Any]]] = {}
-    for run_id in range(shard.first_run, shard.first_run + shard.runs):
-        try:
-            done[run_id] = _Done.of(simulate(scenario, flight, run_id, scenario.seed), scenario)
-        # A campaign outlives whatever one of its runs comes to; the reason is kept with its type.
-        except Exception as error:
-            rows[run_id] = failed_rows(scenario, shard.point, run_id, _told(error))
-    try:
-        rows |= _rows(scenario, window, shard.point, list(done.values()))
-    # One of them, or histories of several lengths: each alone, and who is to blame shows.
-    except Exception:
-        for run_id, one in done.items():
+
+    def each(stage: Callable[[Any], Any], runs: dict[int, Any]) -> dict[int, Any]:
+        done: dict[int, Any] = {}
+        for run_id, of_run in runs.items():
             try:
-                rows |= _rows(scenario, window, shard.point, [one])
+                done[run_id] = stage(of_run)
+            # A campaign outlives whatever one of its runs comes to; the reason is kept with its type.
             except Exception as error:
-                rows[run_id] = failed_rows(scenario, shard.point, run_id, _told(error))
+                rows[run_id] = failed_rows(scenario, point, run_id, _told(error))
+        return done
+
+    def together(stage: Callable[[list[Any]], list[Any]], runs: dict[int, Any]) -> dict[int, Any]:
+        try:
+            return dict(zip(runs, stage(list(runs.values())), strict=True))
+        # One of them, or histories of several lengths: each alone, and who is to blame shows.
+        except Exception:
+            return each(lambda one: stage([one])[0], runs)
+
+    made = each(lambda run_id: measured(scenario, flight, run_id, scenario.seed), {i: i for i in ids})
+    runs = together(lambda made: aligned(made, scenario, flight), made)
+    done = each(lambda run: _Done.of(run, scenario), runs)
+    rows |= together(lambda done: _rows(scenario, window, point, done), done)
     return [row for _, of_run in sorted(rows.items()) for row in of_run]
 
 
@@ -127,15 +149,13 @@ def _whole(since: Array) -> NDArray[np.bool_]:
     return np.round(since * CURVE_HZ, 6) % 1 == 0
 
 
-def _rows(
-    scenario: Scenario, window: Flight, point: int, done: list[_Done]
-) -> dict[int, list[dict[str, Any]]]:
-    """Rows of runs, by their ids."""
+def _rows(scenario: Scenario, window: Flight, point: int, done: list[_Done]) -> list[list[dict[str, Any]]]:
+    """Rows of each run, one of each filter."""
     if not done:
-        return {}
+        return []
     scorer = Scorer(window, scenario.alignment.filters)
     scorer.add(*(one.run for one in done))
-    rows: dict[int, list[dict[str, Any]]] = {one.run.run_id: [] for one in done}
+    rows: list[list[dict[str, Any]]] = [[] for _ in done]
     for name, score in scorer.scores().items():
         whole = _whole(score.time)
         times = score.time[whole].tolist()
@@ -144,7 +164,7 @@ def _rows(
         for i, (run, befell) in enumerate(done):
             failure = score.failures.get(run.run_id)
             end = score.errors[i, -1] if failure not in ("no_fix", "no_coarse") else np.full(5, np.nan)
-            rows[run.run_id].append(
+            rows[i].append(
                 {
                     "point": point,
                     "run": run.run_id,
