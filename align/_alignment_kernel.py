@@ -29,7 +29,15 @@ from ._kernels import (
     predict,
     update,
 )
-from ._state_kernel import carry_attitude, copy_state, covariance, greatest_move, meaningful, start, without
+from ._state_kernel import (
+    carried_on,
+    carry_attitude,
+    copy_state,
+    covariance,
+    greatest_move,
+    meaningful,
+    start,
+)
 
 NOT_STARTED, AIDED, DEAD_RECKONING, STOPPED = range(4)
 
@@ -142,7 +150,7 @@ def align(
         # Go back to the oldest of them, and forward again to the present.
         moves = running and n_applied > n_before
         if moves:
-            without(X, P, rooted, time, increments, k, gravity_model, work, before)
+            carried_on(X, P, rooted, time, increments, k, gravity_model, work, before)
         first = n_applied
         while first > 0 and epoch[applied[first - 1]] >= back:
             first -= 1

@@ -60,7 +60,7 @@ def carry_attitude(X, time, increments, k, q_initial, lla, v_n, gravity_model, w
 
 
 @njit(**COMPILED)
-def without(X, P, rooted, time, increments, k, gravity_model, work, before):
+def carried_on(X, P, rooted, time, increments, k, gravity_model, work, before):
     """Write to ``before`` where X, of epoch k - 1, comes to without further fixes, and its standard
     deviations."""
     X_before, sd, _ = before
