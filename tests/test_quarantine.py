@@ -140,7 +140,9 @@ def test_all_anchors_together_can_say_what_they_like(path):
 @pytest.mark.parametrize("who", ["others", "anchors"])
 def test_false_ranges_are_found(path, range_m, who):
     for run in range(2):
-        _, record = fly(path, network([{"kind": "ranges", who: 1, "range_m": range_m}]), 5.0, run)
+        _, record = fly(
+            path, network([{"kind": "ranges", who: 1, "range_m": range_m, "start_s": LIE_S + 0.5}]), 5.0, run
+        )
         after, false = caught(record)
         assert (after < 1.5).all()
         # Ranges of an anchor at the edge point all one way: that it is they, or a neighbour, is hard to say.
@@ -148,6 +150,8 @@ def test_false_ranges_are_found(path, range_m, who):
         liar = np.flatnonzero(np.isfinite(record.faults.lying_s))[0]
         if record.faults.quarantined_for[liar] == QuarantineReason.RANGES:
             assert record.outcome[-1, liar] == NodeOutcome.QUARANTINED
+        # Who is left out in the middle of a second was located before, with a standard deviation.
+        assert np.isfinite(record.sd_n[record.outcome == NodeOutcome.LOCATED]).all()
 
 
 def test_a_clock_that_jumps_matters_one_way_alone(path):

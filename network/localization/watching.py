@@ -40,7 +40,7 @@ class WatchedTracker:
         """As `Tracker.advance`. The epoch at which a node is found out is solved without it, and those after;
         none before it is. Epochs are judged in blocks as they are given, of up to a second: which links there
         are, and so how far nodes are known, is taken of a whole block. Covariances are those after the last
-        that was found out."""
+        that was found out, and from before of nodes that are not located then."""
         parts: list[Track] = []
         while len(epochs.t):
             if self._tracker.start(epochs).any():
@@ -66,8 +66,17 @@ class WatchedTracker:
             self._monitor.leave_out(*found, float(epochs.t[at]))
             epochs = epochs[at:]
         last = parts[-1]
+        sd, cov, shared = last.sd.copy(), last.cov.copy(), last.shared.copy()
+        for part in reversed(parts[:-1]):
+            unknown = np.isnan(sd).any(axis=1)
+            sd[unknown], cov[unknown] = part.sd[unknown], part.cov[unknown]
+            if len(shared):
+                shared[unknown] = part.shared[unknown]
         return replace(
             last,
+            sd=sd,
+            cov=cov,
+            shared=shared,
             x=np.concatenate([part.x for part in parts]),
             v=np.concatenate([part.v for part in parts]),
             own_cov=np.concatenate([part.own_cov for part in parts]),
