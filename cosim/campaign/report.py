@@ -106,7 +106,7 @@ def campaign_table(summary: CampaignSummary) -> Table:
     table = Table(title=Text(summary.plan["title"]), box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     axes = list(summary.plan["settings"]["axes"])
     for name in axes:
-        table.add_column(name.rsplit(".", 1)[-1], justify="right")
+        table.add_column(name.rsplit(".", 1)[-1].replace("_", "_\n"), justify="right")
     table.add_column("filter", no_wrap=True)
     for heading in ("level\narcsec", "heading\narcmin", "velocity\nm/s", "NEES\nof 3", "failed"):
         table.add_column(heading, justify="right", no_wrap=True)
