@@ -60,14 +60,14 @@ def test_nodes_that_were_left_out_and_those_of_them_that_had_not_lied():
         silenced=nobody,
         quarantined_s=np.array([np.nan, 12.0, np.nan, np.nan, np.nan, 19.0]),
         quarantined_for=np.array([0, 1, 0, 0, 0, 2]),
-        # One of those without cause was asked back.
-        found_out=np.array([[1, 12.0], [3, 30.0], [5, 19.0]]),
+        # A liar and one of those without cause were asked back.
+        found_out=np.array([[1, 12.0], [2, 15.0], [3, 30.0], [5, 19.0]]),
         suspected=nobody,
         forged_arrival=nothing,
         replayed_arrival=nothing,
     )
     found = a_run([], faults=faults)
-    assert (found["quarantined"], found["honest_quarantined"]) == (3, 2)
+    assert (found["quarantined"], found["honest_quarantined"]) == (4, 2)
     for nobody in (None, ...):
         found = a_run([], faults=nobody)
         assert (found["quarantined"], found["honest_quarantined"]) == (None, None)

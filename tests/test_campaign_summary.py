@@ -28,7 +28,7 @@ def test_figures_of_a_point_are_over_the_runs_that_have_them():
     failed = {"errors": None, "nees": None, "history": False}
     rows = [
         row(3),
-        row(4, nees=9.0, errors=(5.0, 0.0, 6.0, 0.5, 0.0)),
+        row(4, nees=9.0, errors=(5.0, 0.0, 6.0, 0.5, 0.0)) | {"heading_history_arcmin": [1.0, *[np.nan] * 2]},
         row(5, nees=3.0),
         row(6, failure="no_fix", **failed),
         row(7, failure="ValueError: x", **failed),
@@ -48,7 +48,7 @@ def test_figures_of_a_point_are_over_the_runs_that_have_them():
     assert np.isnan(found.rms["level"][1:]).all()
     assert found.time_s == [1.0, 2.0, 3.0]
     np.testing.assert_allclose(found.level_rms_arcsec, [np.sqrt(5000 / 3), 4.0, np.nan])
-    np.testing.assert_allclose(found.heading_rms_arcmin, [1.0, np.sqrt(50 / 3), np.nan])
+    np.testing.assert_allclose(found.heading_rms_arcmin, [1.0, np.sqrt(34 / 2), np.nan])
 
 
 def test_intervals_hold_what_the_runs_were_drawn_from():

@@ -10,9 +10,10 @@ from fleetalign.cosim.clean_twin import clean_twin, has_faults, without_faults
 from fleetalign.cosim.fault_report import fault_rows, told_faults
 from fleetalign.cosim.fault_score import FaultScorer, jumps
 from fleetalign.cosim.network_fault_score import network_figures
-from fleetalign.cosim.run import simulate
+from fleetalign.cosim.run import simulate, simulate_all
 from fleetalign.cosim.scenario import load_scenario, replaced
 from fleetalign.cosim.score import Scorer
+from fleetalign.cosim.variants import run_variants
 from fleetalign.network.record import FaultRecord, QuarantineReason
 
 FILTERS = ["ekf_stamped", "l2linf"]
@@ -202,6 +203,8 @@ def test_the_table_keeps_to_80_columns_and_tells_all(run):
     summary = {"faults": {"an outage": block}}
     lines = told_faults(summary)
     assert max(map(len, lines[:-1])) <= 80  # the last is a sentence
+    assert lines[3] == "an outage"
+    assert lines[4].startswith(f"  {FILTERS[0]} ")
     for told in ("99.73 %", "3.1", "3.20", "1.00", "1.20"):
         assert told in lines[4]
     assert lines[5:8] == [
@@ -210,13 +213,31 @@ def test_the_table_keeps_to_80_columns_and_tells_all(run):
         "    failed runs: 100 imu_lost",
     ]
     assert "after 10.0 s, 10.0 s at most; 0 honest" in lines[-1]
-    shown = fault_rows(summary)[0]["filters"][0]
+    (only,) = fault_rows(summary)
+    assert (only["name"], only["against"]) == ("an outage", "as stated")
+    shown = only["filters"][0]
     assert [nees["outside"] for nees in shown["nees"]] == [False, True]
     whole = fault_rows({"faults": {"x": block | {"filters": {"l2linf": row | {"outages": []}}}}})
     assert len(whole[0]["filters"][0]["nees"]) == 1
     assert shown["forged"] == 3
     assert (shown["why"], shown["imu"]) == ("100 imu_lost", "5000 not finite")
     assert fault_rows({}) == []
+
+
+def test_variants_are_told_by_their_names_and_against_their_twins(stated, flight, window):
+    """Copies that a filter drops change nothing: errors over those of the twin, and of no other, are 1."""
+    slow = {"fixes.rate_hz": 5.0}
+    variants = {"slow copies": {**slow, "faults.packets.copies": 2}, "slow": slow}
+    scenario = replaced(stated, {"runs": 2, "alignment.filters": FILTERS, "variants": variants})
+    scorer = Scorer(window, tuple(FILTERS))
+    scorer.add(*simulate_all(scenario, flight, 2, scenario.seed))
+    told = run_variants(scenario, flight, scorer.scores())
+    assert list(told["variants"]) == list(variants)
+    assert list(told["faults"]) == ["slow copies"]
+    assert told["faults"]["slow copies"]["against"] == "slow"
+    for row in told["faults"]["slow copies"]["filters"].values():
+        assert row["duplicates"] > 0
+        assert [ratio[0] for ratio in row["over_clean"].values()] == pytest.approx([1.0] * 3)
 
 
 def test_the_bundled_scenario_has_a_twin_for_each_fault():

@@ -145,14 +145,16 @@ def test_a_filter_told_wrong_noise_leaves_the_band(stated, window):
 
 def test_runs_scored_together_are_those_scored_one_by_one(stated, window):
     runs = list(simulate_all(stated, window, 3, seed=7))
-    # One that failed, and only there.
+    # One that failed, and only there; and one that began where it cannot come closer.
     lost = {name: replace(found, outcome=RunOutcome.NOT_FINITE) for name, found in runs[1].estimates.items()}
     runs[1] = replace(runs[1], estimates=lost)
+    runs[2] = replace(runs[2], q_nb_coarse=window.q_nb[0])
     together, single = (Scorer(window, stated.alignment.filters) for _ in range(2))
     together.add(*runs)
     for run in runs:
         single.add(run)
-    assert all(score.failures == {1: "not_finite"} for score in together.scores().values())
+    failures = {1: "not_finite", 2: "diverged"}
+    assert all(score.failures == failures for score in together.scores().values())
     for name, score in single.scores().items():
         for field, value in vars(score).items():
             np.testing.assert_array_equal(getattr(together.scores()[name], field), value)
