@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import wait
 from functools import partial
 
 import dask
@@ -94,6 +95,8 @@ def test_a_range_of_whole_numbers_has_no_others_and_none_twice(file):
     drawn = [p["fixes.fleet.nodes"] for p in load_campaign(file).coordinates]
     assert {type(nodes) for nodes in drawn} == {int}
     assert set(drawn) == {12, 13, 14}
+    file.write_text(grid.replace("high = 14", "high = 96\nlog = true"))
+    assert [p["fixes.fleet.nodes"] for p in load_campaign(file).coordinates] == [12, 20, 34, 57, 96]
 
 
 @pytest.mark.parametrize(
@@ -108,6 +111,10 @@ def test_a_range_of_whole_numbers_has_no_others_and_none_twice(file):
         (("values = [0.1, 0.2]", "low = 2\nhigh = 1"), "low = 2: must be below high = 1"),
         (("values = [0.1, 0.2]", "low = 0\nhigh = 1\nlog = true"), "low = 0: must be above 0"),
         (("values = [0.1, 0.2]", "low = 0\nhigh = 1\nsteps = 1"), "steps = 1: allowed is [2, 10000]"),
+        (
+            ("values = [0.1, 0.2]", "low = 0.5\nhigh = 2\ninteger = true"),
+            "low = 0.5, high = 2: must be whole where integer = true",
+        ),
         (("runs = 5", "runs = 0"), "runs = 0: allowed is [1, 1e+06]"),
         (("five.toml", "six.toml"), "six.toml"),
         (("seed = 7", "seed = 7\ncolour = 1"), "colour: unknown field"),
@@ -165,6 +172,12 @@ def broken(scenario, flight, run_id, seed):
 """
 
 
+def one_at_a_time(pending, return_when):
+    """As `wait` returns where it is fast: what else ended is not yet told."""
+    ended, rest = wait(pending, return_when=return_when)
+    return {ended.pop()}, rest | ended
+
+
 @pytest.mark.parametrize("by", ["locally", "on_cluster"])
 def test_poison_runs_are_failed_rows_and_the_rest_finishes(file, tmp_path, monkeypatch, by):
     (tmp_path / "poison_of_a_test.py").write_text(POISON)
@@ -173,6 +186,7 @@ def test_poison_runs_are_failed_rows_and_the_rest_finishes(file, tmp_path, monke
 
     module = engine if by == "locally" else cluster
     monkeypatch.setattr(module, "done_shard", poison_of_a_test.done_shard)
+    monkeypatch.setattr(engine, "wait", one_at_a_time)
     file.write_text(CAMPAIGN.replace("runs = 5", "runs = 12").replace("[0.1, 0.2]", "[0.1]"))
     campaign, folder = load_campaign(file), tmp_path / "out"
     # Dask gives up a task whose worker dies four times: one is enough, and blames more of those beside it.
@@ -252,6 +266,7 @@ def test_a_worker_ends_with_the_main_process_even_one_that_begins_after_it():
     pool = engine._pool(1)
     try:
         assert pool.submit(os.getppid).result() == os.getpid()
+        assert pool.submit(signal.getsignal, signal.SIGINT).result() == signal.SIG_IGN
         pool.submit(time.sleep, 3 * engine._WATCH_S).result()  # and goes on while that lives
     finally:
         engine._stop(pool)
@@ -270,7 +285,8 @@ campaign = load_campaign(file)
 
 
 def one_by_one(campaign, shards):
-    for shard in shards:
+    # In no order, so that what is kept has holes.
+    for shard in random.Random(len(shards)).sample(shards, len(shards)):
         yield shard, done_shard(campaign.scenario(shard.point), shard)
 
 
@@ -479,7 +495,8 @@ def worker_of(address):
     )
 
 
-def test_a_scheduler_that_is_lost_is_told_in_a_line(command, file, tmp_path, scheduler, monkeypatch):
+@pytest.mark.parametrize("keeps", [True, False])
+def test_a_scheduler_that_is_lost_is_told_in_a_line(command, file, tmp_path, scheduler, monkeypatch, keeps):
     address, process = scheduler
     worker = worker_of(address)
     add = Ledger.add
@@ -488,7 +505,19 @@ def test_a_scheduler_that_is_lost_is_told_in_a_line(command, file, tmp_path, sch
         add(self, shard, content)
         process.kill()
 
-    monkeypatch.setattr(Ledger, "add", then_lost)
+    nthreads, calls = distributed.Client.nthreads, []
+
+    def lost_later(self):
+        found = nthreads(self)
+        calls.append(found)
+        if len(calls) > 1:
+            process.kill()
+        return found
+
+    if keeps:
+        monkeypatch.setattr(Ledger, "add", then_lost)
+    else:
+        monkeypatch.setattr(distributed.Client, "nthreads", lost_later)
     try:
         status, out, err = command(
             "campaign", file, "--out", tmp_path / "out", "--scheduler", address, "--quiet"
@@ -497,7 +526,7 @@ def test_a_scheduler_that_is_lost_is_told_in_a_line(command, file, tmp_path, sch
         worker.kill()
         worker.wait()
     assert (status, out) == (1, "")
-    assert "lost" in err.splitlines()[-1]
+    raise AssertionError(err)
     assert "of 10 runs are kept, go on with --resume" in err.splitlines()[-1]
     assert len(contents(tmp_path / "out")) >= 1
 
