@@ -54,12 +54,12 @@ def test_figures_of_a_point_are_over_the_runs_that_have_them():
 def test_intervals_hold_what_the_runs_were_drawn_from():
     rng = np.random.default_rng(1)
     covered = 0
-    for _ in range(100):
+    for _ in range(400):
         rows = [row(run, errors=rng.normal(0, 2.0, 5)) for run in range(60)]
         _, low, high = score(rows).rms["heading"]
         covered += low <= 2.0 <= high
-    # 95 % of 100 intervals, less some that 60 runs cost a bootstrap: 4 sd below 92 %, and some do not.
-    assert 0.92 - 4 * np.sqrt(0.92 * 0.08 / 100) < covered / 100 < 1
+    # 95 % of 400 intervals, less some that 60 runs cost a bootstrap: 4 sd below 92 %, and some do not.
+    assert 0.92 - 4 * np.sqrt(0.92 * 0.08 / 400) < covered / 400 < 1
     assert np.isnan(score([row(run) for run in range(29)]).rms["heading"][1])
 
 
