@@ -113,7 +113,7 @@ def _completed(client: Any, campaign: Campaign, shards: list[Shard]) -> Iterator
         # Run by run and with nothing beside it, the poison one alone is lost.
         for shard in suspects:
             yield shard, _run_by_run(client, campaign, shard)
-    except (CancelledError, TimeoutError) as error:
+    except (CancelledError, OSError) as error:  # of what keeps a shard nothing comes here
         raise ConnectionError("the scheduler is lost") from error
 
 
