@@ -5,6 +5,7 @@ import io
 import json
 import multiprocessing
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -23,7 +24,7 @@ from fleetalign.cosim.campaign.cluster import on_cluster
 from fleetalign.cosim.campaign.engine import locally, run_campaign
 from fleetalign.cosim.campaign.ledger import Ledger, read_points
 from fleetalign.cosim.campaign.plan import Shard, load_campaign
-from fleetalign.cosim.campaign.shard import done_shard, shard_rows
+from fleetalign.cosim.campaign.shard import done_shard, encoded, failed_rows, shard_rows
 from fleetalign.cosim.run import alignment_window, simulate
 from fleetalign.cosim.scenario import ScenarioError
 from fleetalign.cosim.score import COLUMNS, errors_against
@@ -568,6 +569,29 @@ def test_a_folder_may_hold_no_foreign_plan(file, tmp_path):
     (folder / "campaign.json").write_text("{")
     with pytest.raises(ScenarioError, match="damaged"):
         Ledger(folder, load_campaign(file), resume=True)
+
+
+def test_no_bit_of_a_shard_changes_unseen(file, tmp_path):
+    campaign, (shard, *_) = (made := load_campaign(file)), made.shards
+    rows = failed_rows(campaign.scenario(0), 0, 0, "x") + failed_rows(campaign.scenario(0), 0, 1, "x")
+    for number, row in enumerate(rows):
+        row |= {"nees": 1.0 + number, "fused": number, "history_time_s": [1.0, 2.0]}
+    whole = encoded(rows)
+    with Ledger(tmp_path / "out", campaign, resume=False) as kept:
+        kept.add(shard, whole)
+    assert pq.read_table(tmp_path / "out/shards")["nees"].to_pylist() == [1.0, 2.0, 3.0, 4.0]
+    path, drawn = tmp_path / "out/shards" / shard.name, random.Random(1)
+    # The first and the last byte, too, and one without its end.
+    places = [0, 8 * len(whole) - 1, *drawn.sample(range(8 * len(whole)), 300)]
+    flipped = [
+        whole[: at // 8] + bytes([whole[at // 8] ^ 1 << at % 8]) + whole[at // 8 + 1 :] for at in places
+    ]
+    for content in (*flipped, whole[:-1], b""):
+        path.write_bytes(content)
+        with pytest.raises(ScenarioError, match="damaged"):
+            list(read_points(tmp_path / "out"))
+    with Ledger(tmp_path / "out", campaign, resume=True) as kept:
+        assert kept.done == set()
 
 
 def test_rows_have_the_schema(file):

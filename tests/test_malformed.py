@@ -22,7 +22,7 @@ import typer
 from fleetalign.cosim import cli
 from fleetalign.cosim.campaign.ledger import Ledger
 from fleetalign.cosim.campaign.plan import load_campaign
-from fleetalign.cosim.campaign.shard import encoded
+from fleetalign.cosim.campaign.shard import encoded, sealed
 from fleetalign.cosim.scenario import SCENARIO_FOLDER, scenario_names
 from fleetalign.network.fixes import Fixes, write_fixes
 from fleetalign.network.tables import write_columns
@@ -596,6 +596,9 @@ def test_folders_of_campaigns(folder, rng):
             plan.write_bytes(damaged(rng, plan.read_bytes()))
         case 2:
             shard.write_bytes(spoilt_parquet(rng, shard))
+            # What no disk makes of a shard: whole, and of odd content.
+            with contextlib.suppress(pa.ArrowException, OSError):
+                shard.write_bytes(sealed(pq.read_table(shard)))
         case _:
             names = (
                 "p999999_r0000000.parquet",

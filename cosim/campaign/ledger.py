@@ -21,7 +21,7 @@ from ..scenario_file import with_data_in
 from ..toml import check_content
 from .lock import locked
 from .plan import MOST_SHARD_RUNS, Campaign, CampaignFile, Shard
-from .shard import SCHEMA
+from .shard import SCHEMA, is_whole
 
 POINTS = "points"
 """Folder of the worst runs' scenarios, and of the data that these name."""
@@ -197,14 +197,16 @@ def _rows(path: Path, point: int) -> pa.Table:  # pyright: ignore[reportUnknownP
     try:
         if path.is_symlink():
             raise _damaged(path, "a link")
-        with path.open("rb") as file:
-            kept = pq.ParquetFile(file)
-            if not kept.schema_arrow.equals(SCHEMA):
-                raise _damaged(path, "other columns than a shard's")
-            if kept.metadata.num_rows > MOST_SHARD_RUNS * len(METHODS):
-                raise _damaged(path, "more rows than a shard's")
-            table = kept.read()
-            table.validate(full=True)
+        content = path.read_bytes()
+        if not is_whole(content):
+            raise _damaged(path, "not what was written")
+        kept = pq.ParquetFile(pa.BufferReader(content))
+        if not kept.schema_arrow.equals(SCHEMA):
+            raise _damaged(path, "other columns than a shard's")
+        if kept.metadata.num_rows > MOST_SHARD_RUNS * len(METHODS):
+            raise _damaged(path, "more rows than a shard's")
+        table = kept.read()
+        table.validate(full=True)
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         raise _damaged(path, " ".join(str(error).split())) from error
     if table["point"].unique().to_pylist() != [point]:

@@ -1,5 +1,6 @@
 """Some runs of one point, as rows of a Parquet file: the same bytes wherever they are done."""
 
+import hashlib
 import io
 from collections.abc import Callable
 from dataclasses import replace
@@ -46,6 +47,8 @@ SCHEMA = pa.schema(
 """Of a shard. ``failure`` is null for a run that aligned; errors are estimate less truth at the end, null
 where there is no estimate; what befell it, see `incidents`; the histories, once a second from the start, have
 the root of the mean square of roll and pitch, and the size of the heading's error."""
+_SEAL = b"sha256\x18\x40"
+"""Key of a file's digest in its footer, and what Thrift puts between that and a text of 64 bytes."""
 
 
 def done_shard(scenario: Scenario, shard: Shard) -> bytes:
@@ -107,10 +110,32 @@ def failed_rows(scenario: Scenario, point: int, run_id: int, reason: str) -> lis
 
 
 def encoded(rows: list[dict[str, Any]]) -> bytes:
-    """Parquet of rows; equal rows have equal bytes."""
+    """Parquet of rows, `sealed`; equal rows have equal bytes."""
+    return sealed(pa.Table.from_pylist(rows, schema=SCHEMA))
+
+
+def sealed(table: pa.Table) -> bytes:  # pyright: ignore[reportUnknownParameterType]
+    """Parquet of a table, with a digest of the whole file: checksums of pages leave out what says where pages
+    are and how they are read."""
     buffer = io.BytesIO()
-    pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), buffer, compression="zstd")
-    return buffer.getvalue()
+    with pq.ParquetWriter(buffer, table.schema, compression="zstd") as writer:
+        writer.write_table(table)
+        writer.add_key_value_metadata({"sha256": "0" * 64})
+    content = buffer.getvalue()
+    at, digest = _digest(content)
+    return content[:at] + digest + content[at + 64 :]
+
+
+def is_whole(content: bytes) -> bool:
+    """Whether this is to the last bit what `sealed` had given."""
+    at, digest = _digest(content)
+    return content[at : at + 64] == digest
+
+
+def _digest(content: bytes) -> tuple[int, bytes]:
+    """Where the 64 digits of the digest stand, and what they must be: of all but themselves."""
+    at = content.rfind(_SEAL) + len(_SEAL)
+    return at, hashlib.sha256(content[:at] + content[at + 64 :]).hexdigest().encode()
 
 
 @lru_cache(maxsize=4)
