@@ -134,8 +134,22 @@ def fixes_of(
         made = draw_fixes(window, start_s, end_s, scenario.fixes, seed_of(seed, run_id, "fixes"))
     made, faults = without(made, outages), scenario.faults.packets
     if faults.at_work:
-        made = packet_faults.faulty(made, faults, generator(seed, run_id, "packet faults"))
+        rng = partial(generator, seed, run_id, "packet faults")
+        sent, made = made, packet_faults.faulty(made, faults, rng())
+        if network is not None:
+            came_from = packet_faults.origins(sent, faults, rng())
+            network = _arriving(network, sent.t_arrival[came_from], made.t_arrival)
     return made, network
+
+
+def _arriving(network: NetworkRecord, sent: Array, arrival: Array) -> NetworkRecord:
+    """The record, with the intruder's packets as they arrive after what befell all: at ``arrival`` (k,) s,
+    where they would have come at ``sent`` (k,) s."""
+    record = network.faults
+    if record is None:
+        return network
+    forged, replayed = (arrival[np.isin(sent, t)] for t in (record.forged_arrival, record.replayed_arrival))
+    return replace(network, faults=replace(record, forged_arrival=forged, replayed_arrival=replayed))
 
 
 def outage_times(scenario: Scenario, window: Flight) -> tuple[tuple[float, float], ...]:

@@ -59,6 +59,13 @@ def faulty(fixes: Fixes, faults: PacketFaults, rng: Generator) -> Fixes:
     return concatenate([sent, *(replace(sent, t_arrival=sent.t_arrival + delay) for delay in later)])
 
 
+def origins(fixes: Fixes, faults: PacketFaults, rng: Generator) -> NDArray[np.int64]:
+    """Which row of ``fixes`` each of the packets that `faulty` returned was, (k,), given an ``rng`` like
+    its."""
+    numbered = replace(fixes, t_valid=np.arange(float(len(fixes))))
+    return faulty(numbered, faults, rng).t_valid.astype(np.int64)
+
+
 def outliers(fixes: Fixes, faults: PacketFaults, rng: Generator) -> NDArray[np.bool_]:
     """Which of the packets that `faulty` returned it had made false, (k,), given an ``rng`` like its: for the
     scores, no receiver knows it."""

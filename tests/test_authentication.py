@@ -203,6 +203,26 @@ def test_tags_change_nothing_where_nobody_attacks(flight, gao2009):
     assert not record.faults.silenced.any()
 
 
+def test_the_intruders_packets_are_known_whatever_befalls_packets(flight, gao2009):
+    """Detours and copies take 0.7 s at most, what is sent again comes 1 s late; forged is what is aside."""
+    short = {
+        "variants": {},
+        "alignment.duration_s": 3.0,
+        "fixes.fleet.nodes": 30,
+        "fixes.fleet.anchor_share": 0.3,
+    }
+    attacks = [{"kind": "tampered", "share": 0.4}, {"kind": "replayed", "share": 0.4, "after_s": 1.0}]
+    packets = {"detour_share": 0.5, "detour_max_s": 0.2, "copies": 3}
+    scenario = replaced(gao2009, short | {"fixes.faults.attacks": attacks, "faults.packets": packets})
+    fixes, record = fixes_of(scenario, flight, 0, 3)
+    true, _ = fixes_of(replaced(gao2009, short), flight, 0, 3)
+    aside = (fixes.lla != true.lla[np.searchsorted(true.sequence, fixes.sequence)]).any(axis=1)
+    again = fixes.t_arrival - fixes.t_valid > 1.0
+    assert min(aside.sum(), again.sum()) > 20
+    np.testing.assert_array_equal(np.isin(fixes.t_arrival, record.faults.forged_arrival), aside)
+    np.testing.assert_array_equal(np.isin(fixes.t_arrival, record.faults.replayed_arrival), again)
+
+
 def test_nobody_uses_what_a_node_without_the_key_says(flight, gao2009):
     short = {"alignment.duration_s": 3.0, "fixes.fleet.nodes": 30, "fixes.fleet.anchor_share": 0.3}
     lies = [{"kind": "offset", "anchors": 9, "start_s": 1.0}]
