@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fleetalign.cosim.campaign import figures, summary
+from fleetalign.cosim.campaign import figures, report, summary
 from fleetalign.cosim.campaign.incidents import NAMES
 from fleetalign.cosim.score import COLUMNS
 
@@ -137,3 +137,16 @@ def test_failed_runs_are_named_first_and_then_those_furthest_out(monkeypatch, tm
     assert [p["at"] for p in content["points"]] == [{"a": 1.0}, {"a": 2.0}, {"a": 2.0}]
     assert content["points"][2]["rms"]["heading"][1] is None
     json.dumps(content, allow_nan=False)
+
+
+def test_axes_are_told_by_the_ends_of_their_names():
+    names = {
+        "alignment.filters.0": "filters.0",
+        "fixes.rate_hz": "rate_hz",
+        "faults.imu.0.start_s": "imu.0.start_s",
+        "faults.imu.1.start_s": "imu.1.start_s",
+        "outages.0.start_s": "outages.0.start_s",
+        "seed": "seed",
+        "flight.air.seed": "air.seed",
+    }
+    assert report.shortest(list(names)) == list(names.values())

@@ -1,7 +1,7 @@
 """What `campaign` and `report` leave: `summary.json`, `report.html`, and the scenario of each named point."""
 
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -101,12 +101,25 @@ def _befell(summary: CampaignSummary) -> dict[str, tuple[str, int]]:
     }
 
 
+def shortest(axes: Sequence[str]) -> list[str]:
+    """So few last parts of each dotted name as tell it from all others and begin with no number."""
+
+    def told(name: str) -> str:
+        parts = name.split(".")
+        ends = [
+            ".".join(parts[first:]) for first in range(len(parts) - 1, 0, -1) if not parts[first].isdigit()
+        ]
+        return next((end for end in ends if sum(f".{axis}".endswith(f".{end}") for axis in axes) == 1), name)
+
+    return list(map(told, axes))
+
+
 def campaign_table(summary: CampaignSummary) -> Table:
     """RMS, NEES and failures by point and filter."""
     table = Table(title=Text(summary.plan["title"]), box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     axes = list(summary.plan["settings"]["axes"])
-    for name in axes:
-        table.add_column(name.rsplit(".", 1)[-1].replace("_", "_\n"), justify="right")
+    for name in shortest(axes):
+        table.add_column(name.replace("_", "_\n"), justify="right")
     table.add_column("filter", no_wrap=True)
     for heading in ("level\narcsec", "heading\narcmin", "velocity\nm/s", "NEES\nof 3", "failed"):
         table.add_column(heading, justify="right", no_wrap=True)
