@@ -29,6 +29,8 @@ LEVEL_LIMIT_ARCSEC = 60.0
 HEADING_LIMIT_ARCMIN = 5.0
 FAILED_NEES = 300.0
 """Of the misalignment at the end: ten standard deviations on each of three axes."""
+NEVER_JUDGED = [FixOutcome.DUPLICATE, FixOutcome.UNAUTHENTIC, FixOutcome.NOT_FINITE, FixOutcome.INVALID]
+"""Outcomes of packets that no filter looks into: however many there are, they tell nothing of its gate."""
 
 
 def errors_against(truth: Flight, estimate: Estimate) -> Array:
@@ -91,8 +93,9 @@ class FilterScore:
     fix_outcomes : how many fixes ended in which way, over all runs.
     restarts : how often a filter started again after its start, over all runs.
     failures : runs that failed, by id, with the reason: ``no_fix``, ``not_finite``, ``no_coarse`` (see
-        `RunOutcome`); ``locked_out``, more than half of the fixes refused by the gate; ``diverged``, at the
-        end no closer to the true level or heading than at the start, or with a NEES beyond `FAILED_NEES`.
+        `RunOutcome`); ``locked_out``, the gate refused more than half of the fixes but `NEVER_JUDGED`;
+        ``diverged``, at the end no closer to the true level or heading than at the start, or with a NEES
+        beyond `FAILED_NEES`.
     """
 
     name: str
@@ -218,7 +221,7 @@ class Scorer:
             reason = None
             if estimate.outcome is not RunOutcome.ALIGNED:
                 reason = estimate.outcome.name.lower()
-            elif counts[FixOutcome.GATED] > 0.5 * len(run.fixes):
+            elif counts[FixOutcome.GATED] > 0.5 * (counts.sum() - counts[NEVER_JUDGED].sum()):
                 reason = "locked_out"
             elif diverged[i]:
                 reason = "diverged"

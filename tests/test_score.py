@@ -1,14 +1,17 @@
 """Scores of hand-made errors, whose values can be told beforehand."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from fleetalign.align.estimate import FixOutcome, NavStatus
+from fleetalign.align.estimate import FixOutcome, NavStatus, RunOutcome
 from fleetalign.cosim.resampling import LEAST_RUNS, bootstrap_rms_interval, paired_ratios, rms_over
 from fleetalign.cosim.score import (
     FilterScore,
+    Scorer,
 )
+from fleetalign.sins import attitude
 
 NAN = np.nan
 COVERAGE_RUNS = 2000
@@ -41,6 +44,49 @@ def test_window_is_what_comes_after_half_the_time():
     """Four times: the last half is 3 and 4 s; 2 s is half itself, and outside."""
     score = a_score([[100.0, 100.0, 1.0, 2.0], [100.0, 100.0, 3.0, NAN]])
     np.testing.assert_allclose(score.window_rms, np.full(5, np.sqrt((1 + 4 + 9) / 3)))
+
+
+@pytest.mark.parametrize(
+    ("others", "reason"),
+    [
+        ([], "locked_out"),
+        ([FixOutcome.DUPLICATE] * 20, "locked_out"),
+        ([FixOutcome.UNAUTHENTIC] * 20, "locked_out"),
+        ([FixOutcome.NOT_FINITE, FixOutcome.INVALID] * 9, "locked_out"),
+        ([FixOutcome.LATE] * 2, None),
+        ([FixOutcome.FUSED, FixOutcome.DUPLICATE], "locked_out"),
+        ([FixOutcome.FUSED] * 2, None),  # half is not more than half
+    ],
+)
+def test_locked_out_is_by_the_fixes_that_the_gate_could_have_let_in(others, reason):
+    """Six of ten refused, and others beside them, in a run that ends on the truth."""
+    outcome = np.array([FixOutcome.GATED] * 6 + [FixOutcome.FUSED] * 4 + others)
+    still, level = np.zeros((3, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (3, 1))
+    time = np.array([0.0, 1.0, 2.0])
+    truth = SimpleNamespace(time=time, dt=1.0, lla=still, v_n=still, q_nb=level)
+    estimate = SimpleNamespace(
+        time=time,
+        lla=still,
+        v_n=still,
+        q_nb=level,
+        sd=np.ones((3, 15)),
+        misalignment_cov=np.tile(np.eye(3), (3, 1, 1)),
+        delay=time,
+        status=np.full(3, NavStatus.AIDED),
+        outcome=RunOutcome.ALIGNED,
+        fix_outcome=outcome,
+        fused=outcome == FixOutcome.FUSED,
+        nis=np.ones(len(outcome)),
+    )
+    run = SimpleNamespace(
+        run_id=3,
+        fixes=outcome,
+        q_nb_coarse=attitude.from_euler(*np.radians([1.0, 1.0, 10.0])),
+        estimates={"ekf": estimate},
+    )
+    scorer = Scorer(truth, ("ekf",))
+    scorer.add(run)
+    assert scorer.scores()["ekf"].failures == ({3: reason} if reason else {})
 
 
 @pytest.mark.parametrize(
