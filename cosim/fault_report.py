@@ -40,7 +40,11 @@ def _line(name: str, row: Mapping[str, Any]) -> dict[str, Any]:
         "failed": row["failed_runs"],
         "why": ", ".join(f"{count} {reason}" for reason, count in row["failures"].items()),
         "imu": ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in row["imu_samples"].items()),
-        "forged": row["forged_fused"] + row["replayed_fused"],
+        "attacked": ", ".join(
+            f"{kind} packets fused: {row[f'{kind}_fused']}"
+            for kind in ("forged", "replayed")
+            if row[f"{kind}_fused"] is not None
+        ),
     }
 
 
@@ -70,7 +74,7 @@ def _network(found: Mapping[str, Any] | None) -> str | None:
 _NAME = 13
 _HEADINGS = (
     ("", "outliers", "rejected", 9),
-    ("", "good", "rejected", 9),
+    ("good", "refused", "by gate", 9),
     ("dead", "reckoning", "after, s", 10),
     ("final", "NEES", "of 3", 6),
     ("", "unflagged", "jumps", 10),
@@ -109,6 +113,8 @@ def _besides(line: Mapping[str, Any]) -> list[str]:
         told.append(f"NEES at the end of the outage {_number(nees['value'], 2)} of 3{band}")
     if line["restarts"]:
         told.append(f"started again {line['restarts']} times over all runs")
+    if line["attacked"]:
+        told.append(line["attacked"])
     if line["failed"]:
         told.append(f"failed runs: {line['why']}")
     return told

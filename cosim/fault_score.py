@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..aircraft.flight import Flight
 from ..align.consistency import mean_band
 from ..align.estimate import JUMP_SIGMAS, Array, Estimate, FixOutcome, NavStatus
+from ..network.fleet_network import FleetNetwork
 from ..network.record import FaultRecord
 from ..sins import attitude, earth
 from .network_fault_score import mean_and_most, network_figures, share
@@ -108,7 +109,7 @@ class FaultScorer:
         return {"filters": filters, **network}
 
     def _row(self, name: str, score: FilterScore, clean: Mapping[str, Array] | None) -> dict[str, Any]:
-        counts, told = self._counts[name], np.stack(self._told[name])
+        counts, told, kinds = self._counts[name], np.stack(self._told[name]), _attacks(self.scenario)
         independent = self.scenario.fixes.kind != "replay"
         ratios = None
         if clean is not None and name in clean:
@@ -135,9 +136,15 @@ class FaultScorer:
             "failed_runs": len(score.failures),
             "failures": dict(Counter(score.failures.values())),
             "imu_samples": {k.removeprefix("imu_"): n for k, n in counts.items() if k.startswith("imu_")},
-            "forged_fused": counts["forged_fused"],
-            "replayed_fused": counts["replayed_fused"],
+            "forged_fused": counts["forged_fused"] if kinds & {"forged", "tampered"} else None,
+            "replayed_fused": counts["replayed_fused"] if "replayed" in kinds else None,
         }
+
+
+def _attacks(scenario: Scenario) -> set[str]:
+    """Kinds of the attacks on packets."""
+    fixes = scenario.fixes
+    return {attack.kind for attack in fixes.faults.attacks} if isinstance(fixes, FleetNetwork) else set()
 
 
 def _used(outcome: NDArray[np.int64]) -> NDArray[np.bool_]:

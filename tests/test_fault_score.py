@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from fleetalign.cosim.clean_twin import clean_twin, has_faults, without_faults
 from fleetalign.cosim.fault_report import fault_rows, told_faults
 from fleetalign.cosim.fault_score import FaultScorer, jumps
 from fleetalign.cosim.network_fault_score import network_figures
+from fleetalign.cosim.pages import write_page
 from fleetalign.cosim.run import simulate, simulate_all
 from fleetalign.cosim.scenario import load_scenario, replaced
 from fleetalign.cosim.score import Scorer
@@ -172,7 +174,24 @@ def test_who_was_asked_back_was_left_out_all_the_same():
     assert line.endswith("; 2 honest nodes were, 0 at the end; 1 stood back as suspects of a start")
 
 
-def test_the_table_keeps_to_80_columns_and_tells_all(run):
+def test_forged_packets_are_counted_where_somebody_attacks(run, gao2009, window):
+    """Of made-up attackers: 9 of the fixes that were fused, then none; nobody sent any again."""
+    forgery = {"variants": {}, "fixes.faults.attacks": [{"kind": "tampered"}]}
+    for scenario, hit, told in (
+        (replaced(gao2009, forgery), slice(100, 109), 9),
+        (replaced(gao2009, forgery), slice(0), 0),
+        (gao2009, slice(0), None),
+    ):
+        faults = replace(record([np.nan], [[]]), forged_arrival=run.fixes.t_arrival[hit])
+        done = replace(run, network=SimpleNamespace(faults=faults))
+        scorer, scores = FaultScorer(scenario, window), Scorer(window, ("ekf_stamped",))
+        scorer.add(done)
+        scores.add(done)
+        row = scorer.rows(scores.scores(), None)["filters"]["ekf_stamped"]
+        assert (row["forged_fused"], row["replayed_fused"]) == (told, None)
+
+
+def test_the_table_keeps_to_80_columns_and_tells_all(run, tmp_path):
     row = {
         "outliers_rejected": 0.9973,
         "good_lost": None,
@@ -195,8 +214,8 @@ def test_the_table_keeps_to_80_columns_and_tells_all(run):
         "failed_runs": 100,
         "failures": {"imu_lost": 100},
         "imu_samples": {"not_finite": 5000},
-        "forged_fused": 1,
-        "replayed_fused": 2,
+        "forged_fused": 437,
+        "replayed_fused": 0,
     }
     network = network_figures([record([10.0], [[20.0]])])
     block = {"against": "as stated", "filters": dict.fromkeys(FILTERS, row), "network": network}
@@ -207,9 +226,10 @@ def test_the_table_keeps_to_80_columns_and_tells_all(run):
     assert lines[4].startswith(f"  {FILTERS[0]} ")
     for told in ("99.73 %", "3.1", "3.20", "1.00", "1.20"):
         assert told in lines[4]
-    assert lines[5:8] == [
+    assert lines[5:9] == [
         "    NEES at the end of the outage 9.50 of 3 (band 2.50 to 3.50)",
         "    started again 5 times over all runs",
+        "    forged packets fused: 437, replayed packets fused: 0",
         "    failed runs: 100 imu_lost",
     ]
     assert "after 10.0 s, 10.0 s at most; 0 honest" in lines[-1]
@@ -219,7 +239,11 @@ def test_the_table_keeps_to_80_columns_and_tells_all(run):
     assert [nees["outside"] for nees in shown["nees"]] == [False, True]
     whole = fault_rows({"faults": {"x": block | {"filters": {"l2linf": row | {"outages": []}}}}})
     assert len(whole[0]["filters"][0]["nees"]) == 1
-    assert shown["forged"] == 3
+    write_page(tmp_path / "page.html", "faults.html.j2", {}, faults=[only])
+    assert "forged packets fused: 437, replayed packets fused: 0<" in (tmp_path / "page.html").read_text()
+    none = row | {"forged_fused": None, "replayed_fused": None}
+    (quiet,) = fault_rows({"faults": {"x": block | {"filters": {"l2linf": none}}}})
+    assert quiet["filters"][0]["attacked"] == ""
     assert (shown["why"], shown["imu"]) == ("100 imu_lost", "5000 not finite")
     assert fault_rows({}) == []
 
