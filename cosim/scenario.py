@@ -185,14 +185,14 @@ class Scenario(Settings):
         return self
 
     @model_validator(mode="after")
-    def _imu_faults_fit(self) -> "Scenario":
+    def _faults_fit(self) -> "Scenario":
         window_s = self.alignment.duration_s
         for number, fault in enumerate(self.faults.imu):
+            told = f"faults.imu[{number}] from {fault.start_s:g} s for {fault.duration_s:g} s"
             if fault.end_s > window_s:
-                raise ValueError(
-                    f"faults.imu[{number}] from {fault.start_s:g} s for {fault.duration_s:g} s: must end with"
-                    f" the alignment, at {window_s:g} s, or before"
-                )
+                raise ValueError(f"{told}: must end with the alignment, at {window_s:g} s, or before")
+        if self.fixes.kind == "network":
+            self.fixes.faults.check_begins(window_s)
         return self
 
     @model_validator(mode="after")

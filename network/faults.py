@@ -40,6 +40,21 @@ class NetworkFaults(Settings):
                 ' itself, and there is no packet to attack; allowed is solver = "central"'
             )
 
+    def check_begins(self, window_s: float) -> None:
+        """Raise ValueError for a fault that begins when the alignment, of ``window_s``, is over."""
+        begins = [
+            (f"{name}[{number}].start_s", fault.start_s)
+            for name in ("attacks", "lies", "jamming", "blocked_side")
+            for number, fault in enumerate(getattr(self, name))
+        ]
+        begins += [(f"clock_jumps[{i}].at_s", jump.at_s) for i, jump in enumerate(self.clock_jumps)]
+        for name, begin_s in begins:
+            if begin_s >= window_s:
+                raise ValueError(
+                    f"fixes.faults.{name} = {begin_s:g} s: must be before the end of the alignment,"
+                    f" at {window_s:g} s"
+                )
+
 
 @dataclass(frozen=True)
 class Trouble:

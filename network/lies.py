@@ -1,12 +1,12 @@
 """Nodes that say what is not so: of where they are, or of how far others are."""
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from ..sins.settings import Settings
 from .fleet import OWN_SHIP
@@ -51,7 +51,18 @@ class _Lie(Chosen):
     """Whether all lie alike, or each has turned what is said by an angle about the vertical, drawn."""
 
 
-class Offset(_Lie):
+class _OfPlace(_Lie):
+    @model_validator(mode="after")
+    def _of_anchors(self) -> Self:
+        why = "only anchors say where they are"
+        if self.others:
+            raise ValueError(f"others = {self.others}: {why}, allowed is 0")
+        if OWN_SHIP in self.nodes:
+            raise ValueError(f"nodes has {OWN_SHIP}, the own ship: {why}")
+        return self
+
+
+class Offset(_OfPlace):
     """Anchors say that they are elsewhere, by a constant; what others say of themselves nobody asks."""
 
     kind: Literal["offset"] = "offset"
@@ -59,7 +70,7 @@ class Offset(_Lie):
     """NED."""
 
 
-class Ramp(_Lie):
+class Ramp(_OfPlace):
     """Anchors say that they are elsewhere, by ever more. The velocity that they say stays true."""
 
     kind: Literal["ramp"] = "ramp"

@@ -171,6 +171,34 @@ def test_who_is_chosen():
         ({"fixes.faults.clock_jumps": [{"nodes": [77]}]}, "node 77"),
         ({"fixes.faults.jamming": [{"share": 1.0}]}, "share = 1.0"),
         ({"fixes.faults.lies": [{"kind": "rumour"}]}, "'offset', 'ramp', 'ranges'"),
+        (
+            {"fixes.faults.lies": [{"kind": "ranges", "others": 2}, {"kind": "ramp", "others": 2}]},
+            "fixes.faults.lies.1: others = 2: only anchors say where they are, allowed is 0",
+        ),
+        (
+            {"fixes.faults.lies": [{"kind": "offset", "nodes": [3, 0]}]},
+            "fixes.faults.lies.0: nodes has 0, the own ship: only anchors say where they are",
+        ),
+        (
+            {"fixes.faults.lies": [{"kind": "offset", "anchors": 1, "start_s": 40.0}]},
+            "fixes.faults.lies[0].start_s = 40 s: must be before the end of the alignment, at 40 s",
+        ),
+        (
+            {"fixes.faults.attacks": [{"kind": "forged"}, {"kind": "forged", "start_s": 60.0}]},
+            "fixes.faults.attacks[1].start_s = 60 s: must be before the end of the alignment, at 40 s",
+        ),
+        (
+            {"fixes.faults.jamming": [{"start_s": 60.0}]},
+            "fixes.faults.jamming[0].start_s = 60 s: must be before",
+        ),
+        (
+            {"fixes.faults.blocked_side": [{"start_s": 60.0}]},
+            "fixes.faults.blocked_side[0].start_s = 60 s: must",
+        ),
+        (
+            {"alignment.duration_s": 10.0, "fixes.faults.clock_jumps": [{"others": 1}]},
+            "fixes.faults.clock_jumps[0].at_s = 10 s: must be before the end of the alignment, at 10 s",
+        ),
     ],
 )
 def test_mistakes_are_told_in_one_line(gao2009, changes, words):
@@ -178,6 +206,18 @@ def test_mistakes_are_told_in_one_line(gao2009, changes, words):
         replaced(gao2009, {**changes, "variants": {}})
     assert words in str(told.value)
     assert len(str(told.value).splitlines()) == 1
+
+
+def test_faults_may_begin_until_the_alignment_ends(gao2009):
+    kinds = {
+        "lies": {"kind": "ramp", "anchors": 1, "start_s": 39.9},
+        "attacks": {"kind": "forged", "start_s": 39.9},
+        "jamming": {"start_s": 39.9},
+        "blocked_side": {"start_s": 39.9},
+        "clock_jumps": {"others": 1, "at_s": 39.9},
+    }
+    late = replaced(gao2009, {"variants": {}} | {f"fixes.faults.{kind}": [of] for kind, of in kinds.items()})
+    assert all(getattr(late.fixes.faults, kind) for kind in kinds)
 
 
 def test_the_bundled_scenario_names_all_of_them():
