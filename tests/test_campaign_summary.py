@@ -20,8 +20,8 @@ def row(run, filter="ekf_stamped", failure=None, errors=(3.0, 4.0, 2.0, 0.3, 0.4
     return made
 
 
-def score(rows):
-    return summary._score(0, "ekf_stamped", rows)
+def score(rows, independent=True):
+    return summary._score(0, "ekf_stamped", rows, independent)
 
 
 def test_figures_of_a_point_are_over_the_runs_that_have_them():
@@ -61,6 +61,19 @@ def test_intervals_hold_what_the_runs_were_drawn_from():
     # 95 % of 400 intervals, less some that 60 runs cost a bootstrap: 4 sd below 92 %, and some do not.
     assert 0.92 - 4 * np.sqrt(0.92 * 0.08 / 400) < covered / 400 < 1
     assert np.isnan(score([row(run) for run in range(29)]).rms["heading"][1])
+
+
+@pytest.mark.parametrize("kind", ["replay", "simulated"])
+def test_runs_on_the_same_recorded_fixes_have_neither_interval_nor_band(monkeypatch, tmp_path, kind):
+    rows = [row(run, errors=(1.0 + run % 3,) * 5) for run in range(40)]
+    monkeypatch.setattr(summary, "read_points", lambda folder: [(0, Rows(rows))])
+    plan = {"title": "T", "base": {"fixes": {"kind": kind}}, "coordinates": [{}]}
+    monkeypatch.setattr(summary, "read_plan", lambda folder: plan)
+    (point,) = summary.summarize(tmp_path).content["points"]
+    assert (point["nees"], point["rms"]["level"][0]) == (3.0, pytest.approx(np.sqrt(183 / 40)))
+    known = [bound is not None for bound in point["rms"]["level"]]
+    assert known == ([True, False, False] if kind == "replay" else [True] * 3)
+    assert (point["nees_band"] is None) == (kind == "replay")
 
 
 def test_points_without_a_run_that_aligned_have_no_figures():
@@ -122,7 +135,7 @@ def test_failed_runs_are_named_first_and_then_those_furthest_out(monkeypatch, tm
     second.append(row(94, nees=None))
     points = [(0, Rows(first)), (1, Rows([{**r, "point": 1} for r in second]))]
     monkeypatch.setattr(summary, "read_points", lambda folder: points)
-    plan = {"title": "T", "coordinates": [{"a": 1.0}, {"a": 2.0}]}
+    plan = {"title": "T", "base": {}, "coordinates": [{"a": 1.0}, {"a": 2.0}]}
     monkeypatch.setattr(summary, "read_plan", lambda folder: plan)
     found = summary.summarize(tmp_path)
     named = [(r["point"], r["run"]) for r in found.worst if r["filter"] == "ekf_stamped"]

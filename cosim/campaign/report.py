@@ -63,6 +63,7 @@ def write_report(folder: Path, command: str) -> CampaignSummary:
         befell=_befell(summary) if any(map(_may_fail, (*ends, *named.values()))) else {},
         missing=total - done,
         total=total,
+        replayed=base.fixes.kind == "replay",
         folder=folder,
         command=command,
         shown=short,

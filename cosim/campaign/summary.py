@@ -29,10 +29,11 @@ class PointScore:
     reasons: dict[str, int]
     """How often each reason of a failure was met."""
     rms: dict[str, tuple[float, float, float]]
-    """By `score.GROUPS`: RMS over runs at the end with its 95 % interval, arcsec, arcmin, m/s; or NaN."""
+    """By `score.GROUPS`: RMS over runs at the end with its 95 % interval, arcsec, arcmin, m/s; or NaN. Runs
+    that replay the same fixes have no interval."""
     nees: float
     nees_band: tuple[float, float] | None
-    """None where no run has a NEES."""
+    """None where no run has a NEES, and for runs that replay the same fixes."""
     befell: dict[str, float]
     """By `incidents.NAMES`: the mean over the runs that have a value, the greatest of `incidents.GREATEST`;
     NaN where none has."""
@@ -61,13 +62,15 @@ class CampaignSummary:
 def summarize(folder: Path) -> CampaignSummary:
     """Read a campaign's folder, point by point. Raises `ScenarioError` where none is kept."""
     plan, scores, worst = read_plan(folder), list[PointScore](), dict[str, list[dict[str, Any]]]()
+    # No axis can lead from one kind to another: they have other fields.
+    independent = plan["base"].get("fixes", {}).get("kind") != "replay"
     for point, table in read_points(folder):
         if point >= len(plan["coordinates"]):
             raise ScenarioError(f"{folder}: shards of point {point}; the plan has {len(plan['coordinates'])}")
         rows = table.to_pylist()
         for name in dict.fromkeys(row["filter"] for row in rows):
             mine = [row for row in rows if row["filter"] == name]
-            scores.append(_score(point, name, mine))
+            scores.append(_score(point, name, mine, independent))
             named = worst.setdefault(name, [])
             named += [_named(row) for row in mine if row["failure"] or row["nees"] is not None]
             named.sort(key=_order)
@@ -75,7 +78,7 @@ def summarize(folder: Path) -> CampaignSummary:
     return CampaignSummary(plan, scores, [row for rows in worst.values() for row in rows])
 
 
-def _score(point: int, name: str, rows: list[dict[str, Any]]) -> PointScore:
+def _score(point: int, name: str, rows: list[dict[str, Any]], independent: bool) -> PointScore:
     errors = np.array([[np.nan if row[c] is None else row[c] for c in COLUMNS] for row in rows], float)
     errors = errors[np.isfinite(errors).all(axis=1)]
     nees = np.array([row["nees"] for row in rows if row["nees"] is not None], float)
@@ -88,9 +91,9 @@ def _score(point: int, name: str, rows: list[dict[str, Any]]) -> PointScore:
         runs=len(rows),
         failed=len(failures),
         reasons={reason: failures.count(reason) for reason in dict.fromkeys(failures)},
-        rms={group: _rms(errors[:, columns]) for group, columns in GROUPS.items()},
+        rms={group: _rms(errors[:, columns], independent) for group, columns in GROUPS.items()},
         nees=float(nees.mean()) if len(nees) else np.nan,
-        nees_band=mean_band(3, len(nees)) if len(nees) else None,
+        nees_band=mean_band(3, len(nees)) if independent and len(nees) else None,
         befell={key: _befell(key, rows) for key in NAMES},
         time_s=list(time),
         level_rms_arcsec=_history(histories, "level_history_arcsec"),
@@ -105,11 +108,11 @@ def _befell(key: str, rows: list[dict[str, Any]]) -> float:
     return float(max(values) if key in GREATEST else np.mean(values))
 
 
-def _rms(errors: np.ndarray) -> tuple[float, float, float]:
+def _rms(errors: np.ndarray, independent: bool) -> tuple[float, float, float]:
     if not len(errors):
         return np.nan, np.nan, np.nan
     squares = np.mean(errors**2, axis=1)[:, None]
-    if len(squares) < LEAST_RUNS:
+    if len(squares) < LEAST_RUNS or not independent:
         return float(np.sqrt(squares.mean())), np.nan, np.nan
     low, high = np.sqrt(np.quantile(resampled_means(squares)[:, 0], tails(0.95)))
     return float(np.sqrt(squares.mean())), float(low), float(high)
