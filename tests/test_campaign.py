@@ -594,6 +594,24 @@ def test_no_bit_of_a_shard_changes_unseen(file, tmp_path):
         assert kept.done == set()
 
 
+def test_runs_are_counted_whatever_the_filters_of_a_point(command, file, tmp_path, undrawn):
+    axis = '[axes."alignment.filters.0"]\nvalues = ["ekf_stamped", "ekf", "l2linf"]\n'
+    file.write_text(CAMPAIGN.replace("runs = 5", "runs = 4") + axis)
+    campaign, folder = load_campaign(file), tmp_path / "out"
+    with Ledger(folder, campaign, resume=False) as kept:
+        for shard in campaign.shards:
+            runs = range(shard.first_run, shard.first_run + shard.runs)
+            scenario = campaign.scenario(shard.point)
+            kept.add(
+                shard, encoded([r for run in runs for r in failed_rows(scenario, shard.point, run, "x")])
+            )
+    assert command("report", folder, "--quiet")[0] == 0
+    assert "are not done" not in (folder / "report.html").read_text()
+    (folder / "shards" / campaign.shards[-1].name).unlink()
+    assert command("report", folder, "--quiet")[0] == 0
+    assert "2 of 24 runs are not done" in (folder / "report.html").read_text()
+
+
 def test_rows_have_the_schema(file):
     content = done_shard(load_campaign(file).scenario(0), Shard(0, 0, 1))
 

@@ -40,8 +40,8 @@ def write_report(folder: Path, command: str) -> CampaignSummary:
     summary = summarize(folder)
     plan = summary.plan
     total = plan["settings"]["runs"] * len(plan["coordinates"])
-    one = summary.scores[0].filter if summary.scores else ""
-    done = sum(score.runs for score in summary.scores if score.filter == one)
+    # All filters of a point have the same runs, and the next point may have other filters.
+    done = sum({score.point: score.runs for score in summary.scores}.values())
     base = kept_base(folder, plan)
     changes: dict[str, Any] = {"variants": {}, "seed": plan["settings"]["seed"]}
     if plan["settings"]["filters"]:
