@@ -1,5 +1,6 @@
 """Shards by the workers of a Dask cluster: `distributed` hands a dead worker's tasks out again by itself."""
 
+import logging
 import signal
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
@@ -57,6 +58,7 @@ def on_cluster(
                 # Of its pages, which it serves whether or not anybody asks: on any free port, and here alone.
                 dashboard_address=f"{LOCALHOST}:0",
                 scheduler_port=0,
+                silence_logs=logging.ERROR,  # warnings tell what the engine tells, and how workers end
             )
         finally:
             signal.signal(signal.SIGINT, before)
