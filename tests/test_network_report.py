@@ -175,6 +175,7 @@ def test_variants_make_one_table(tmp_path, summary):
         columns=[(column, column, 1) for column in COLUMNS],
     )
     html = (tmp_path / "page.html").read_text("utf-8")
+    assert re.findall("<h2>(.*)</h2>", html) == ["Variants"]  # of no network, for there is none
     leach = re.findall(r"<td[^>]*>(.*?)</td>", html[html.index("<td>LEACH") :].split("</tr>")[0])
     assert leach[0] == "LEACH"
     assert leach[1].startswith("1.00<")
