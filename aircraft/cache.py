@@ -20,8 +20,8 @@ import numpy as np
 import platformdirs
 from pydantic import TypeAdapter
 
-from ..sins import attitude, earth
 from ..sins.earth import GravityModel
+from ..sins.sources import sources_digest
 from .airframe import load_airframe
 from .flight import Flight, Phase
 from .mission import FlightPlan
@@ -64,12 +64,9 @@ def flight_key(plan: FlightPlan) -> str:
         "jsbsim": jsbsim.__version__,
         "numpy": np.__version__,
         "machine": platform.machine(),
+        "code": sources_digest("aircraft/*.py", "sins/earth.py", "sins/attitude.py"),
     }
-    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
-    sources = sorted(Path(__file__).parent.glob("*.py"))
-    for source in [*sources, Path(str(earth.__file__)), Path(str(attitude.__file__))]:
-        digest.update(source.name.encode() + hashlib.sha256(source.read_bytes()).digest())
-    return digest.hexdigest()
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 
 
 def is_cached(plan: FlightPlan) -> bool:

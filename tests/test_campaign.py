@@ -6,12 +6,15 @@ import json
 import multiprocessing
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from concurrent.futures import wait
 from functools import partial
+from importlib import metadata
+from pathlib import Path
 
 import dask
 import distributed  # noqa: F401  (a setting that is changed for a time must have its default before)
@@ -19,7 +22,7 @@ import numpy as np
 import psutil
 import pyarrow.parquet as pq
 import pytest
-from fleetalign.cosim.campaign import cluster, engine, ledger
+from fleetalign.cosim.campaign import cluster, engine, ledger, plan
 from fleetalign.cosim.campaign.cluster import on_cluster
 from fleetalign.cosim.campaign.engine import locally, run_campaign
 from fleetalign.cosim.campaign.ledger import Ledger, read_points
@@ -225,11 +228,12 @@ def test_a_command_that_is_stopped_goes_on_where_it_was(file, tmp_path):
     folder, shards = tmp_path / "out", 2 * 100
     options = ["campaign", str(file), "--out", str(folder), "--quiet", "--resume"]
     line = [sys.executable, "-m", "fleetalign.cosim.cli", *options]
-    for least, number in ((1, signal.SIGKILL), (3, signal.SIGTERM), (5, signal.SIGINT)):
+    for number in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT):
+        kept = len(list(folder.glob("shards/*.parquet")))
         process = subprocess.Popen(line, stderr=subprocess.PIPE, text=True, start_new_session=True)
         deadline = time.monotonic() + 120
         while time.monotonic() < deadline and process.poll() is None:
-            if len(list(folder.glob("shards/*.parquet"))) >= least:
+            if len(list(folder.glob("shards/*.parquet"))) > kept:
                 break
             time.sleep(0.02)
         workers = psutil.Process(process.pid).children(recursive=True)
@@ -537,6 +541,37 @@ def test_workers_with_other_versions_are_refused(command, file, tmp_path, schedu
     assert not (tmp_path / "out").exists()
 
 
+TOLD_VERSION = "from fleetalign.cosim.campaign.plan import versions; print(versions()['fleetalign'])"
+
+
+def test_other_code_is_another_version_and_the_same_elsewhere_is_none(file, tmp_path, monkeypatch):
+    """Of a copy as a wheel leaves it, outside the repository."""
+    project = Path(__file__).parents[1]
+    for room in ("sins", "aircraft", "network", "align", "cosim", "scenarios"):
+        shutil.copytree(
+            project / room, tmp_path / "wheel/fleetalign" / room, ignore=shutil.ignore_patterns("__pycache__")
+        )
+
+    def told():
+        line = [sys.executable, "-c", TOLD_VERSION]
+        environment = os.environ | {"PYTHONPATH": str(tmp_path / "wheel"), "PYTHONDONTWRITEBYTECODE": "1"}
+        run = subprocess.run(line, env=environment, cwd=tmp_path, capture_output=True, text=True, check=True)
+        return run.stdout.strip()
+
+    here = plan.versions()["fleetalign"]
+    assert told() == here
+    with (tmp_path / "wheel/fleetalign/align/lmi/alignment.py").open("a") as source:
+        source.write("# other\n")
+    other = told()
+    assert other != here
+    assert other.partition("+")[0] == here.partition("+")[0] == metadata.version("fleetalign")
+    Ledger(tmp_path / "out", load_campaign(file), resume=False).close()
+    wanted = plan.versions()
+    monkeypatch.setattr(plan, "versions", lambda: wanted | {"fleetalign": other})
+    with pytest.raises(ScenarioError, match="holds another campaign, or one of other versions or code"):
+        Ledger(tmp_path / "out", load_campaign(file), resume=True)
+
+
 class OtherVersions:
     """Here they are others than on workers, to whom it travels as the real ones."""
 
@@ -544,8 +579,6 @@ class OtherVersions:
         return {"numba": "0.1"}
 
     def __reduce__(self):
-        from fleetalign.cosim.campaign import plan
-
         return getattr, (plan, "versions")
 
 

@@ -63,8 +63,8 @@ class Ledger:
             kept = read_plan(self.folder)
             if kept.get("digest") != campaign.digest:
                 raise ScenarioError(
-                    f"{self.folder}: holds another campaign, or one of other versions, {kept.get('title')!r};"
-                    " take another --out"
+                    f"{self.folder}: holds another campaign, or one of other versions or code,"
+                    f" {kept.get('title')!r}; take another --out"
                 )
         self._shards.mkdir(parents=True, exist_ok=True)
         for partial in self._shards.glob("*.partial"):

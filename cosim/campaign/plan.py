@@ -15,6 +15,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from ...network.tables import inside
 from ...sins.settings import Settings
+from ...sins.sources import sources_digest
 from ...sins.text import printable, shortened
 from ..mistakes import told_mistakes
 from ..scenario import FilterNames, Scenario, ScenarioError, load_scenario, replaced, scenario_names
@@ -23,6 +24,11 @@ from ..toml import read_toml
 MOST_POINTS = 100_000
 MOST_SHARD_RUNS = 10_000
 MOST_SHARDS = 200_000
+_CODE = (
+    *(f"{room}/**/*.py" for room in ("sins", "aircraft", "network", "align", "cosim")),
+    "aircraft/**/*.toml",
+)
+"""Files that make a run what it is, and some others: which of them do is not told apart."""
 
 
 class Values(Settings):
@@ -117,9 +123,11 @@ class CampaignFile(Settings):
 
 
 def versions() -> dict[str, str]:
-    """Of this process's Python, and of the programs by which the last bits of a run may differ."""
-    programs = ("fleetalign", "jsbsim", "numba", "numpy", "scipy")
-    return {"python": platform.python_version()} | {name: metadata.version(name) for name in programs}
+    """Of this process's Python, and of the programs by which the last bits of a run may differ; fleetalign's
+    with the first digits of a digest of its code."""
+    programs = ("jsbsim", "numba", "numpy", "scipy")
+    found = {"python": platform.python_version()} | {name: metadata.version(name) for name in programs}
+    return {"fleetalign": f"{metadata.version('fleetalign')}+{sources_digest(*_CODE)[:16]}"} | found
 
 
 @dataclass(frozen=True)
