@@ -502,7 +502,7 @@ def check_run(record, delay, transform, scenario):
 )
 def test_covariance_stays_one_over_a_million_steps(eights, stated, delay, transform, steps):
     """Of the last 2 s with stamps, of the last step without, and the misalignment's at each output. By square
-    roots a step takes twenty times as long."""
+    roots a step takes more than ten times as long."""
     record, q_nb = long_record(eights, steps, stated.imu)
     found = check_run(record, delay, transform, stated)
     phi = attitude.misalignment(found.q_nb[-1], q_nb)
