@@ -3,7 +3,8 @@
 Samples that are missing or broken (`clock`, `broken`) are held, at a cost to the covariance, and counted by
 reason. Held is the mean of the last good samples of the axis, of so many as cost least. It is wrong by:
 
-- what the vehicle does from the time of those samples on, by an angular acceleration or a jerk;
+- what the vehicle does from the time of those samples on, by an angular acceleration or a jerk: a brisk
+  manoeuvre's, or what the record shows where that is more, as in turbulence;
 - the noise of that mean;
 - what lies beyond a full scale, where that is what is wrong;
 - vibration over the time that is held: it comes back, but its part in these samples is lost.
@@ -31,7 +32,9 @@ from .estimate import Array, SampleOutcome
 MOST_HELD = 100
 """Samples of which a mean is held, at most."""
 ANGULAR_ACCELERATION, JERK = 0.5, 10.0
-"""Standard deviations while samples are held, rad/s^2 and m/s^3: a brisk manoeuvre's."""
+"""Standard deviations while samples are held, rad/s^2 and m/s^3, at least: a brisk manoeuvre's."""
+BLOCK_S = 0.03
+"""Time over which the unrest of a record is looked at: shorter is noise, longer averages turbulence."""
 MANEUVER_S = 1.0
 """Time over which they keep their sign."""
 EXCESS = 0.5
@@ -91,6 +94,7 @@ def conditioned(
     bad, saturated = reason != 0, reason == SampleOutcome.SATURATED
     white, jitter = (np.zeros(6), np.zeros(6)) if imu is None else white_and_jitter(imu, dt)
     drift = dt * dt * np.repeat([ANGULAR_ACCELERATION, JERK], 3)
+    drift = np.maximum(drift, _unrest(increments, bad, dt, white, jitter))
     fading = math.exp(-dt / MANEUVER_S)
     for j in np.flatnonzero(bad.any(axis=0)):
         cost = drift[j], white[j], jitter[j], EXCESS, fading
@@ -101,6 +105,22 @@ def conditioned(
     held = bad.any(axis=1)
     end = _end(held | joined(saturated.any(axis=1), BEFORE), dt, patience_s)
     return Record(base.time, increments, variance, counts, int(held.sum()), end)
+
+
+def _unrest(increments: Array, bad: NDArray[np.bool_], dt: float, white: Array, jitter: Array) -> Array:
+    """RMS change of an increment in an interval, (6,), that comes and goes: half the mean square of second
+    differences over blocks of `BLOCK_S`, less what noise has in them. A steady change has none, nor is there
+    any where no three blocks without a broken sample follow each other."""
+    size = max(1, round(BLOCK_S / dt))
+    blocks = (len(increments) - 1) // size
+    rows = slice(1, 1 + blocks * size)
+    whole = ~bad[rows].reshape(blocks, size, 6).any(axis=1)
+    means = np.where(bad[rows], 0.0, increments[rows]).reshape(blocks, size, 6).mean(axis=1)
+    three = whole[2:] & whole[1:-1] & whole[:-2]
+    square = np.sum(np.diff(means, n=2, axis=0) ** 2 * three, axis=0) / np.maximum(three.sum(axis=0), 1)
+    # A mean of increments has the jitter of both ends, and one between two blocks is in both.
+    noise = 3 * white**2 / size + 10 * (jitter / size) ** 2
+    return np.sqrt(np.maximum(0.5 * square - noise, 0.0)) / size
 
 
 def _end(held: NDArray[np.bool_], dt: float, patience_s: float) -> int:

@@ -23,6 +23,7 @@ from fleetalign.sins.earth import STANDARD_GRAVITY
 from fleetalign.sins.imu import ImuErrors
 from fleetalign.sins.imu_faults import ImuFault, faulty
 from pydantic import TypeAdapter
+from scipy.signal import lfilter
 
 FAULT = TypeAdapter(ImuFault)
 DT = 0.01
@@ -118,10 +119,11 @@ def test_a_fault_that_makes_no_sense_is_refused_in_a_line(stated, fields, told):
 
 
 def noisy(n=2000, seed=1):
-    """Increments of white noise about a turn, and the time."""
+    """Increments about a turn, with the noise that is told: white, and of the accelerometers vibration."""
     rng = np.random.default_rng(seed)
-    size = np.repeat([np.radians(TOLD.gyro_arw_deg_sqrt_h / 60) * np.sqrt(DT), 0.0142], 3)
-    increments = size * rng.standard_normal((n, 6)) + DT * np.array([0.1, -0.05, 0.02, 0.5, 1.0, -11.0])
+    white = np.radians(TOLD.gyro_arw_deg_sqrt_h / 60) * np.sqrt(DT) * rng.standard_normal((n, 3))
+    vibration = np.diff(TOLD.vibration_mps * rng.standard_normal((n, 3)), axis=0, prepend=0.0)
+    increments = np.hstack([white, vibration]) + DT * np.array([0.1, -0.05, 0.02, 0.5, 1.0, -11.0])
     increments[0] = 0.0
     return 500 + DT * np.arange(n), increments
 
@@ -228,6 +230,31 @@ def test_what_is_held_costs_what_it_loses(rows, least):
     ratio = (lost**2 / told).reshape(100, 2, 3).mean(axis=(0, 2))
     assert (ratio < 1.35).all()
     assert (ratio > least).all()
+
+
+@pytest.mark.parametrize("held", [5, 20, 50])
+def test_what_turbulence_does_meanwhile_is_allowed_for(held):
+    """Angular rates of 0.1 rad/s and forces of 4 m/s^2 that come and go within 0.2 s: far more than the
+    manoeuvre that is allowed for anyway. Over their variance, squares of what is lost of angle and velocity
+    would be 1 in the mean, and less the longer it is, for turbulence does not keep its sign for a second."""
+    rng = np.random.default_rng(8)
+    lost, told = np.zeros((60, 6)), np.zeros((60, 6))
+    n, fading = 1001, np.exp(-DT / 0.2)
+    for run in range(60):
+        drive = np.sqrt(1 - fading**2) * rng.standard_normal((n, 6))
+        rough = DT * np.repeat([0.1, 4.0], 3) * lfilter([1.0], [1.0, -fading], drive, axis=0)
+        time, increments = noisy(n, seed=run)
+        measured = increments + rough
+        measured[0] = 0.0
+        broken = measured.copy()
+        broken[600 : 600 + held] = np.nan
+        record = record_of(time, broken)
+        lost[run] = (record.increments - measured).sum(axis=0)
+        told[run] = record.gap_variance.sum(axis=0)
+    ratio = (lost**2 / told).reshape(60, 2, 3).mean(axis=(0, 2))
+    # A chi square of 180 over its mean is below 1.45 with 99.99 %.
+    assert (ratio < 1.45).all()
+    assert (ratio > 0.02).all()
 
 
 def test_a_record_that_begins_broken_begins_with_what_comes_first():
