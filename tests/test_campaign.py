@@ -229,11 +229,11 @@ def test_a_command_that_is_stopped_goes_on_where_it_was(file, tmp_path):
     options = ["campaign", str(file), "--out", str(folder), "--quiet", "--resume"]
     line = [sys.executable, "-m", "fleetalign.cosim.cli", *options]
     for number in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT):
-        kept = len(list(folder.glob("shards/*.parquet")))
+        before = len(list(folder.glob("shards/*.parquet")))
         process = subprocess.Popen(line, stderr=subprocess.PIPE, text=True, start_new_session=True)
         deadline = time.monotonic() + 120
         while time.monotonic() < deadline and process.poll() is None:
-            if len(list(folder.glob("shards/*.parquet"))) > kept:
+            if len(list(folder.glob("shards/*.parquet"))) > before:
                 break
             time.sleep(0.02)
         workers = psutil.Process(process.pid).children(recursive=True)
@@ -245,7 +245,7 @@ def test_a_command_that_is_stopped_goes_on_where_it_was(file, tmp_path):
         _, err = process.communicate(timeout=60)
         assert psutil.wait_procs(workers, timeout=20)[1] == []
         kept = len(contents(folder))
-        assert least <= kept < shards
+        assert before < kept < shards
         if number == signal.SIGKILL:
             assert process.returncode == -signal.SIGKILL
         else:
