@@ -250,7 +250,9 @@ def test_a_command_that_is_stopped_goes_on_where_it_was(file, tmp_path):
             assert process.returncode == -signal.SIGKILL
         else:
             assert process.returncode == 1
-            assert err == f"stopped; {2 * kept} of 400 runs are kept, go on with --resume\n"
+            # A signal may come when a shard is on the disk and not yet counted.
+            told = [f"stopped; {2 * n} of 400 runs are kept, go on with --resume\n" for n in (kept, kept - 1)]
+            assert err in told
     # What a dying disk leaves: a shard that ends early.
     first = next((folder / "shards").iterdir())
     first.write_bytes(first.read_bytes()[:100])
