@@ -114,7 +114,7 @@ def _unrest(increments: Array, bad: NDArray[np.bool_], dt: float, white: Array, 
     size = max(1, round(BLOCK_S / dt))
     blocks = (len(increments) - 1) // size
     rows = slice(1, 1 + blocks * size)
-    whole = ~bad[rows].reshape(blocks, size, 6).any(axis=1)
+    whole: NDArray[np.bool_] = ~np.any(bad[rows].reshape(blocks, size, 6), axis=1)
     means = np.where(bad[rows], 0.0, increments[rows]).reshape(blocks, size, 6).mean(axis=1)
     three = whole[2:] & whole[1:-1] & whole[:-2]
     square = np.sum(np.diff(means, n=2, axis=0) ** 2 * three, axis=0) / np.maximum(three.sum(axis=0), 1)

@@ -606,7 +606,7 @@ def test_a_folder_may_hold_no_foreign_plan(file, tmp_path):
         Ledger(folder, load_campaign(file), resume=True)
 
 
-def test_no_bit_of_a_shard_changes_unseen(file, tmp_path):
+def test_no_bit_of_a_shard_changes_unseen(file, tmp_path, monkeypatch):
     campaign, (shard, *_) = (made := load_campaign(file)), made.shards
     rows = failed_rows(campaign.scenario(0), 0, 0, "x") + failed_rows(campaign.scenario(0), 0, 1, "x")
     for number, row in enumerate(rows):
@@ -627,6 +627,10 @@ def test_no_bit_of_a_shard_changes_unseen(file, tmp_path):
             list(read_points(tmp_path / "out"))
     with Ledger(tmp_path / "out", campaign, resume=True) as kept:
         assert kept.done == set()
+        kept.add(shard, whole)
+    monkeypatch.setattr(ledger, "_MOST_BYTES", len(whole) - 1)
+    with pytest.raises(ScenarioError, match=f"damaged: more than {len(whole) - 1} bytes"):
+        list(read_points(tmp_path / "out"))
 
 
 def test_runs_are_counted_whatever_the_filters_of_a_point(command, file, tmp_path, undrawn):

@@ -28,7 +28,7 @@ POINTS = "points"
 _PLAN = "campaign.json"
 _SHARDS = "shards"
 _MOST_BYTES = 200_000_000
-"""Of a plan: as many points as there may be."""
+"""Of a plan with as many points as there may be, or of a shard with as many rows."""
 _HISTORIES = "history_time_s", "level_history_arcsec", "heading_history_arcmin"
 
 
@@ -197,6 +197,8 @@ def _rows(path: Path, point: int) -> pa.Table:  # pyright: ignore[reportUnknownP
     try:
         if path.is_symlink():
             raise _damaged(path, "a link")
+        if path.stat().st_size > _MOST_BYTES:
+            raise _damaged(path, f"more than {_MOST_BYTES} bytes")
         content = path.read_bytes()
         if not is_whole(content):
             raise _damaged(path, "not what was written")
