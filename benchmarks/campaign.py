@@ -4,12 +4,14 @@ import multiprocessing
 import os
 import tempfile
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache, partial
+from itertools import repeat
 from pathlib import Path
+from statistics import fmean, harmonic_mean
 from typing import Self
 
 import psutil
@@ -30,6 +32,7 @@ from .material import SEED, Material
 KERNEL_TARGET, LEDGER_TARGET, MEMORY_TARGET, DASK_TARGET = 0.90, 0.02, 1.10, 0.85
 PAUSES = 20
 """Of a campaign, in which its parts are timed alone: the machine's pace drifts."""
+DASK_ROUNDS = 2
 _SHARD_RUNS = 25
 
 
@@ -37,27 +40,23 @@ def rows(harness: Harness, material: Material) -> list[Row]:
     """Rates of a campaign, of its runs alone and of the compiled loops alone; ledger, memory, Dask."""
     size, cores = harness.size, os.cpu_count() or 1
     scenario = material.scenario
-    with _Alone(scenario, cores, size.campaign_runs // (2 * PAUSES)) as alone:
-        whole = _timed(_campaign(scenario, size.campaign_runs), engine.locally, alone)
-    kernel, runs = alone.rates
+    ways = {"pool": engine.locally, "dask": partial(on_cluster, workers=cores)}
+    some: dict[str, list[_Whole]] = {name: [] for name in ways}
+    with _Alone(scenario, cores) as alone:
+        asked = _campaign(scenario, size.campaign_runs)
+        whole = _timed(asked, engine.locally, alone, (_kernel_seconds, _run_seconds))
+        for _ in range(min(DASK_ROUNDS, size.rounds)):
+            for name, done_by in ways.items():
+                asked = _campaign(scenario, size.dask_runs)
+                some[name].append(_timed(asked, done_by, alone, (_run_seconds,)))
+    kernel, runs = whole.alone
     encoding = _encoding_seconds(scenario) * size.campaign_runs
     ledger = (whole.ledger_s + encoding) / (cores * whole.seconds)
     first, last = whole.memory_mb(0.0, 0.1), whole.memory_mb(0.9, 1.0)
-
-    some = _campaign(scenario, size.dask_runs)
-    dasks = {"pool": engine.locally, "dask": partial(on_cluster, workers=cores)}
-    firsts: dict[str, list[float]] = {name: [] for name in dasks}
-    times = harness.times(
-        "pool and Dask",
-        {
-            name: partial(lambda name: firsts[name].append(_timed(some, dasks[name]).first_s), name)
-            for name in dasks
-        },
-        rounds=2,
-        clock=time.perf_counter,
-        warm_up=False,
-    )
-    dask = times["pool"].best / times["dask"].best
+    shares = {name: fmean(one.rate / one.alone[0] for one in done) for name, done in some.items()}
+    rates = {name: fmean(one.rate for one in done) for name, done in some.items()}
+    firsts = {name: min(one.first_s for one in done) for name, done in some.items()}
+    dask = shares["dask"] / shares["pool"]
     filters = len(scenario.alignment.filters)
     return [
         Row(
@@ -100,14 +99,16 @@ def rows(harness: Harness, material: Material) -> list[Row]:
         ),
         Row(
             f"Dask, {cores} workers, {size.dask_runs:,} runs",
-            f"{size.dask_runs / times['dask'].best:.1f} runs/s",
-            f"plain pool: {size.dask_runs / times['pool'].best:.1f} runs/s",
+            f"{shares['dask']:.2f} of its bare runs ({rates['dask']:.1f} runs/s)",
+            f"plain pool: {shares['pool']:.2f} of its bare runs ({rates['pool']:.1f} runs/s)",
             f"{dask:.2f}",
             f"{DASK_TARGET:.2f} or more",
             dask >= DASK_TARGET,
-            f"Wall time with the start of the workers, in shards of {min(_SHARD_RUNS, size.dask_runs)}. The"
-            f" first is there after {min(firsts['dask']):.1f} s, with the pool after"
-            f" {min(firsts['pool']):.1f} s, which weighs less in a longer campaign.",
+            "The ratio is that of two shares, so that drift from one campaign to the next cancels: each"
+            " campaign's rate, start and end of its workers included, by that of `shard_rows` alone in as"
+            f" many processes in {PAUSES} pauses of it. Means of {len(some['dask'])} rounds, shards of"
+            f" {min(_SHARD_RUNS, size.dask_runs)}. The first shard is there after {firsts['dask']:.1f} s,"
+            f" with the pool after {firsts['pool']:.1f} s, which weighs less in a longer campaign.",
         ),
     ]
 
@@ -125,11 +126,18 @@ class _Whole:
     ledger_s: float = 0.0
     memory: list[tuple[float, float]] = field(default_factory=list)
     """Share that was done, and resident memory then, MB."""
+    samples: list[list[float]] = field(default_factory=list)
+    """Of each pause: runs a second of each part alone."""
 
     @property
     def rate(self) -> float:
         """Runs a second."""
         return self.runs / self.seconds
+
+    @property
+    def alone(self) -> list[float]:
+        """Runs a second of each part alone, over all pauses."""
+        return [harmonic_mean(rates) for rates in zip(*self.samples, strict=True)]
 
     def memory_mb(self, low: float, high: float) -> float:
         """The most while the share done was between the two; the whole's, where nothing was seen then."""
@@ -147,10 +155,12 @@ def _campaign(scenario: Scenario, runs: int) -> Campaign:
 def _timed(
     campaign: Campaign,
     done_by: Callable[[Campaign, list[Shard]], Iterator[tuple[Shard, bytes]]],
-    alone: "_Alone | None" = None,
+    alone: "_Alone",
+    parts: "Sequence[_Part]",
 ) -> _Whole:
-    """Do a campaign in a folder that is taken away again; in its pauses ``alone`` is timed."""
-    whole, paused_s, pauses = _Whole(campaign.settings.runs), 0.0, 0
+    """Do a campaign in a folder that is taken away again; in its pauses parts of it are timed ``alone``."""
+    whole, paused_s = _Whole(campaign.settings.runs), 0.0
+    each = campaign.settings.runs // (2 * PAUSES)
     with (
         tempfile.TemporaryDirectory() as folder,
         Ledger(Path(folder), campaign, resume=False) as ledger,
@@ -165,15 +175,14 @@ def _timed(
             whole.ledger_s += time.perf_counter() - now
 
         def progress(done: float, total: float) -> None:
-            nonlocal paused_s, pauses
+            nonlocal paused_s
             workers = _workers(alone)
             memory = sum(process.memory_info().rss for process in (psutil.Process(), *workers))
             whole.memory.append((done / total, memory / 1e6))
-            if alone and done / total > (pauses + 0.5) / PAUSES:
+            if done / total > (len(whole.samples) + 0.5) / PAUSES:
                 since = time.perf_counter()
                 with _stopped(workers):
-                    alone.sample()
-                pauses += 1
+                    whole.samples.append(alone.rates(parts, each))
                 paused_s += time.perf_counter() - since
 
         ledger.add = add
@@ -183,10 +192,9 @@ def _timed(
     return whole
 
 
-def _workers(alone: "_Alone | None") -> list[psutil.Process]:
-    """The processes that do a campaign."""
-    others = alone.processes if alone else ()
-    return [one for one in psutil.Process().children(recursive=True) if one.pid not in others]
+def _workers(alone: "_Alone") -> list[psutil.Process]:
+    """The processes that do a campaign: the pool's, or Dask's, whose scheduler and nannies are here."""
+    return [one for one in psutil.Process().children(recursive=True) if one.pid not in alone.processes]
 
 
 @contextmanager
@@ -200,18 +208,20 @@ def _stopped(processes: list[psutil.Process]) -> Iterator[None]:
             process.resume()
 
 
-class _Alone:
-    """What a campaign is compared with, in as many processes: compiled loops, and runs with their rows."""
+_Part = Callable[[Scenario, int], float]
+"""Seconds that so many runs take."""
 
-    def __init__(self, scenario: Scenario, cores: int, runs: int) -> None:
-        self._each = max(runs // cores, 1)
+
+class _Alone:
+    """As many processes as a campaign has, for parts of it without what a campaign adds."""
+
+    def __init__(self, scenario: Scenario, cores: int) -> None:
         self._asked = [scenario] * cores
         self._pool = ProcessPoolExecutor(cores, mp_context=multiprocessing.get_context("spawn"))
-        self._seen: list[list[float]] = []
 
     def __enter__(self) -> Self:
         # Compiled code is loaded, and records are made, before anything is timed.
-        self._rates(1)
+        self.rates((_kernel_seconds, _run_seconds), 1)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -222,22 +232,11 @@ class _Alone:
         """Their numbers."""
         return self._pool._processes.keys()  # pyright: ignore[reportPrivateUsage]
 
-    def sample(self) -> None:
-        """Time a few."""
-        self._seen.append(self._rates(self._each))
-
-    @property
-    def rates(self) -> tuple[float, float]:
-        """Runs a second, over all samples: of the loops alone, and of runs with their rows."""
-        loops, runs = (
-            len(self._seen) / sum(1 / rate for rate in seen) for seen in zip(*self._seen, strict=True)
-        )
-        return loops, runs
-
-    def _rates(self, each: int) -> list[float]:
+    def rates(self, parts: Sequence[_Part], runs: int) -> list[float]:
+        """Runs a second of each part, of so many runs by all processes together."""
+        each = max(runs // len(self._asked), 1)
         return [
-            sum(each / seconds for seconds in self._pool.map(partial(of, runs=each), self._asked))
-            for of in (_kernel_seconds, _run_seconds)
+            sum(each / seconds for seconds in self._pool.map(of, self._asked, repeat(each))) for of in parts
         ]
 
 

@@ -1,9 +1,13 @@
 """The benchmarks run, compare like with like, and write their table."""
 
+import os
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
+import distributed
 import numpy as np
+import psutil
 import pytest
 from fleetalign.align.filters import FILTERS, align
 from fleetalign.align.inputs import AlignmentInput
@@ -25,6 +29,7 @@ def benchmarks(flight_cache):
         patch.syspath_prepend(str(ROOT))
         import benchmarks
         import benchmarks.__main__
+        import benchmarks.campaign
         import benchmarks.coarse
         import benchmarks.harness
         import benchmarks.invariant_filter
@@ -40,9 +45,23 @@ def material(benchmarks):
     return benchmarks.material.prepare(benchmarks.harness.QUICK)
 
 
-def test_quick_run_writes_the_table(benchmarks, tmp_path):
+def test_quick_run_writes_the_table(benchmarks, tmp_path, monkeypatch):
+    stopped, pauses = benchmarks.campaign._stopped, []
+
+    @contextmanager
+    def seen(processes):
+        """Dask's workers, where there are any, and what is suspended."""
+        client = distributed.client._get_global_client()
+        dask = set(client.run(os.getpid).values()) if client else set()
+        with stopped(processes):
+            yield
+            pauses.append((dask, {one.pid for one in processes if one.status() == psutil.STATUS_STOPPED}))
+
+    monkeypatch.setattr(benchmarks.campaign, "_stopped", seen)
     out = tmp_path / "docs" / "benchmarks.md"
     assert benchmarks.__main__.main(["--quick", "--out", str(out)]) == 0
+    assert [len(dask) for dask, _ in pauses] == [0, 0, os.cpu_count()]
+    assert all(dask <= suspended and len(suspended) >= os.cpu_count() for dask, suspended in pauses)
     text = out.read_text("utf-8")
     rows = [line for line in text.splitlines() if line.startswith("| ")]
     assert len(rows) == 2 + 35
