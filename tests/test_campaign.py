@@ -89,18 +89,21 @@ def test_a_latin_hypercube_has_a_point_in_each_slice_and_is_the_same_again(file)
     assert load_campaign(file).digest == campaign.digest
 
 
-def test_a_range_of_whole_numbers_has_no_others_and_none_twice(file):
+def test_a_range_of_whole_numbers_has_no_others_and_all_in_equal_shares(file):
     (file.parent / "five.toml").write_text(SCENARIO + '[fixes]\nkind = "network"\n')
     axis = '[axes."fixes.fleet.nodes"]\nlow = 12\nhigh = 14\nsteps = 5\ninteger = true\n'
     grid = CAMPAIGN.replace("fixes.velocity_sd_mps", "fixes.rate_hz").replace("[0.1, 0.2]", "[5]") + axis
     file.write_text(grid)
     assert [p["fixes.fleet.nodes"] for p in load_campaign(file).coordinates] == [12, 13, 14]
-    file.write_text(grid.replace("runs = 5", 'runs = 5\ndesign = "latin_hypercube"\npoints = 6'))
+    file.write_text(grid.replace("runs = 5", 'runs = 5\ndesign = "latin_hypercube"\npoints = 12'))
     drawn = [p["fixes.fleet.nodes"] for p in load_campaign(file).coordinates]
     assert {type(nodes) for nodes in drawn} == {int}
-    assert set(drawn) == {12, 13, 14}
+    assert sorted(drawn) == [12] * 4 + [13] * 4 + [14] * 4
     file.write_text(grid.replace("high = 14", "high = 96\nlog = true"))
     assert [p["fixes.fleet.nodes"] for p in load_campaign(file).coordinates] == [12, 20, 34, 57, 96]
+    # From 1 up to 4 in even ratios, half is below 2, and log(3) / log(4) = 0.79 of it below 3.
+    ratios = plan.Range(low=1, high=3, log=True, integer=True)
+    assert [ratios.drawn(share) for share in (0.0, 0.49, 0.51, 0.79, 0.8, 1.0)] == [1, 1, 2, 2, 3, 3]
 
 
 @pytest.mark.parametrize(

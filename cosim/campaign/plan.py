@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import platform
 from dataclasses import dataclass
 from functools import cached_property
@@ -48,7 +49,7 @@ class Range(Settings):
     log: bool = False
     """Whether even means even ratios."""
     integer: bool = False
-    """Whether values are rounded to whole numbers, as a field of these wants."""
+    """Whether values are whole numbers, as a field of these wants."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -62,11 +63,20 @@ class Range(Settings):
 
     def at(self, share: float) -> float | int:
         """The value at a share of the way, 0 to 1."""
+        value = self._on_the_way_to(self.high, share)
+        return round(value) if self.integer else value
+
+    def drawn(self, share: float) -> float | int:
+        """The value for a share that is drawn evenly. A whole number stands for all up to the next: if they were
+        rounded, the ends would have half of what others have."""
+        if not self.integer:
+            return self.at(share)
+        return min(math.floor(self._on_the_way_to(self.high + 1, share)), int(self.high))
+
+    def _on_the_way_to(self, high: float, share: float) -> float:
         if self.log:
-            value = self.low * (self.high / self.low) ** share
-        else:
-            value = self.low + share * (self.high - self.low)
-        return round(value) if self.integer else float(value)
+            return self.low * (high / self.low) ** share
+        return self.low + share * (high - self.low)
 
 
 Axis = Annotated[Values | Range, Field(discriminator="kind")]
@@ -247,7 +257,7 @@ def _points(settings: CampaignFile) -> list[dict[str, Any]]:
 
 
 def _on(axis: Values | Range, share: float) -> Any:
-    """The value at a share of an axis; stated values have equal shares."""
+    """The value at a share of an axis; stated values have equal shares, and so have whole numbers."""
     if isinstance(axis, Range):
-        return axis.at(share)
+        return axis.drawn(share)
     return axis.values[min(int(share * len(axis.values)), len(axis.values) - 1)]
