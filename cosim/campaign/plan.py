@@ -67,8 +67,8 @@ class Range(Settings):
         return round(value) if self.integer else value
 
     def drawn(self, share: float) -> float | int:
-        """The value for a share that is drawn evenly. A whole number stands for all up to the next: if they were
-        rounded, the ends would have half of what others have."""
+        """The value for a share that is drawn evenly. A whole number stands for all up to the next: rounded,
+        the ends would have half of what others have."""
         if not self.integer:
             return self.at(share)
         return min(math.floor(self._on_the_way_to(self.high + 1, share)), int(self.high))
