@@ -12,6 +12,20 @@ from numba import njit
 from ..sins._kernels import COMPILED
 
 
+_COLUMNS = 6
+
+
+@njit(**COMPILED)
+def side_by_side(dtheta_b, dv_b):
+    """Increments (n, 6) of angle and velocity, (n, 3) each."""
+    n = len(dtheta_b)
+    increments = np.empty((n, _COLUMNS))
+    for k in range(n):
+        for j in range(3):
+            increments[k, j], increments[k, 3 + j] = dtheta_b[k, j], dv_b[k, j]
+    return increments
+
+
 @njit(**COMPILED)
 def count_repeats(increments, most, apart, again):
     """Whether all of ``increments`` (n, 6) are numbers within ``most`` (6,).
@@ -19,36 +33,37 @@ def count_repeats(increments, most, apart, again):
     Adds to ``again`` (6,), for each column but its first row: how often its greatest or its least value is
     met, whichever is more, zero if there is a NaN; and pairs of equal values up to ``apart`` rows apart.
     """
-    n, columns = increments.shape
-    possible = True
-    for j in range(columns):
-        high, low, beyond, numbers = -math.inf, math.inf, 0, True
-        column = increments[1:, j]
-        for k in range(n - 1):
-            value = column[k]
-            beyond += not abs(value) <= most[j]
-            high = value if value > high else high
-            low = value if value < low else low
-        if beyond > 0 or not abs(increments[0, j]) <= most[j]:
-            possible, numbers = False, not np.isnan(column).any()
-        at_high, at_low = 0, 0
-        for k in range(n - 1):
-            at_high += column[k] == high
-            at_low += column[k] == low
-        if numbers:
-            again[j] += max(at_high, at_low)
-    values = increments.reshape(n * columns)[columns:]
+    n = len(increments)
+    high, low = np.full(_COLUMNS, -math.inf), np.full(_COLUMNS, math.inf)
+    beyond = 0
+    for k in range(n):
+        for j in range(_COLUMNS):
+            beyond += not abs(increments[k, j]) <= most[j]
+    for k in range(1, n):
+        for j in range(_COLUMNS):
+            value = increments[k, j]
+            high[j] = value if value > high[j] else high[j]
+            low[j] = value if value < low[j] else low[j]
+    at_high, at_low = np.zeros(_COLUMNS, np.int64), np.zeros(_COLUMNS, np.int64)
+    for k in range(1, n):
+        for j in range(_COLUMNS):
+            at_high[j] += increments[k, j] == high[j]
+            at_low[j] += increments[k, j] == low[j]
+    for j in range(_COLUMNS):
+        if beyond == 0 or not np.isnan(increments[1:, j]).any():
+            again[j] += max(at_high[j], at_low[j])
+    values = increments.reshape(n * _COLUMNS)[_COLUMNS:]
     for lag in range(1, min(apart, n - 2) + 1):
         # In any column: mostly none, and so counted fast.
-        first, second = values[: len(values) - lag * columns], values[lag * columns :]
+        first, second = values[: len(values) - lag * _COLUMNS], values[lag * _COLUMNS :]
         same = 0
         for i in range(len(second)):
             same += first[i] == second[i]
         if same > 0:
             for k in range(1 + lag, n):
-                for j in range(columns):
+                for j in range(_COLUMNS):
                     again[j] += increments[k, j] == increments[k - lag, j]
-    return possible
+    return beyond == 0
 
 
 @njit(**COMPILED)

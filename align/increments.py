@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..sins.imu import ImuErrors
 from ..sins.mechanization import checked_shapes
-from ._increments_kernel import hold
+from ._increments_kernel import hold, side_by_side
 from .broken import BEFORE, find_broken, joined, white_and_jitter
 from .clock import time_base
 from .estimate import Array, SampleOutcome
@@ -74,7 +74,7 @@ def conditioned(
     to the last that came). Raises ValueError for other shapes, and fewer than two rows in order of time.
     """
     time, dtheta_b, dv_b = checked_shapes(time, dtheta_b, dv_b)
-    increments = np.hstack([dtheta_b, dv_b])
+    increments = side_by_side(dtheta_b, dv_b)
     base = time_base(time, increments, until_s)
     n, refused = len(base.time), int(np.count_nonzero(~base.taken))
     reason = np.zeros((n, 6), np.int8)

@@ -1,5 +1,6 @@
 """The fixes that reach a filter, checked, and the epochs of the record they belong to."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -94,8 +95,8 @@ def counted_from(time: Array, found: Received, by_stamp: bool, stamp_sd: float) 
 def _are_covariances(cov: Array) -> NDArray[np.bool_]:
     """Which of the matrices, (k, 6, 6), are symmetric and positive definite."""
     if len(cov) > 1 and (cov == cov[0]).all():
-        # The usual case: one noise for all fixes.
-        return np.repeat(_are_covariances(cov[:1]), len(cov))
+        # The usual case: one noise for all fixes, and often for all runs.
+        return np.full(len(cov), _is_covariance(cov[0].tobytes()))
     finite = np.isfinite(cov.reshape(len(cov), 36)).all(axis=1)
     cov = np.where(finite.reshape(-1, 1, 1), cov, np.eye(6))
     scale = np.sqrt(np.abs(np.einsum("kii->ki", cov)))
@@ -104,6 +105,11 @@ def _are_covariances(cov: Array) -> NDArray[np.bool_]:
     # Scaled to unit diagonal, or metres would hide what is wrong in metres per second.
     scaled = cov / np.maximum(scale[:, :, None] * scale[:, None, :], 1e-300)
     return finite & symmetric & (np.linalg.eigvalsh(scaled).min(axis=1, initial=np.inf) > 1e-12)
+
+
+@lru_cache(maxsize=16)
+def _is_covariance(cov: bytes) -> bool:
+    return bool(_are_covariances(np.frombuffer(cov).reshape(1, 6, 6))[0])
 
 
 def _numbered(fixes: Fixes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -19,9 +19,6 @@ COLUMNS = ("roll_arcsec", "pitch_arcsec", "heading_arcmin", "v_east_mps", "v_nor
 """The five figures of Gao et al., Table 3, with their units."""
 _PER_UNIT = np.array([1 / ARCSEC, 1 / ARCSEC, 1 / ARCMIN, 1.0, 1.0])
 
-SCORED = ("time", "lla", "v_n", "q_nb", "sd", "misalignment_cov", "delay", "status")
-"""Histories of an `Estimate` that a `Scorer` looks at."""
-
 GROUPS = {"level": slice(0, 2), "heading": slice(2, 3), "velocity": slice(3, 5)}
 """Columns that are judged together: the RMS of a group is that of all its components."""
 
@@ -29,7 +26,9 @@ LEVEL_LIMIT_ARCSEC = 60.0
 HEADING_LIMIT_ARCMIN = 5.0
 FAILED_NEES = 300.0
 """Of the misalignment at the end: ten standard deviations on each of three axes."""
-NEVER_JUDGED = [FixOutcome.DUPLICATE, FixOutcome.UNAUTHENTIC, FixOutcome.NOT_FINITE, FixOutcome.INVALID]
+NEVER_JUDGED = np.array(
+    [FixOutcome.DUPLICATE, FixOutcome.UNAUTHENTIC, FixOutcome.NOT_FINITE, FixOutcome.INVALID], np.intp
+)
 """Outcomes of packets that no filter looks into: however many there are, they tell nothing of its gate."""
 
 
@@ -175,16 +174,16 @@ class Scorer:
     def _truth(self) -> _Truth:
         return _Truth.at(self.truth, self._time)
 
-    def add(self, *runs: Run) -> None:
-        """Score runs; they must come in order of their ids, from 0."""
+    def add(self, *runs: Run, rows: slice | NDArray[np.intp] = slice(None)) -> None:
+        """Score these ``rows`` of the histories of runs, which must come in order of their ids, from 0."""
         estimates = [run.estimates[name] for run in runs for name in self.filters]
-        self._time = estimates[0].time
+        self._time = estimates[0].time[rows]
         # All at once: a call of numpy on so few rows costs as much as on many times as many.
         q_nb, v_n, lla, misalignment_cov = (
-            np.stack([getattr(estimate, column) for estimate in estimates])
+            np.stack([getattr(estimate, column)[rows] for estimate in estimates])
             for column in ("q_nb", "v_n", "lla", "misalignment_cov")
         )
-        position_sd = np.stack([estimate.sd[:, POSITION] for estimate in estimates])
+        position_sd = np.stack([estimate.sd[rows, POSITION] for estimate in estimates])
         phi = attitude.misalignment(q_nb, self._truth.q_nb)
         covariance = np.where(np.isfinite(phi)[..., None], misalignment_cov, np.eye(3))
         misalignment_nees = nees(phi, covariance)
@@ -202,7 +201,7 @@ class Scorer:
             run, name = runs[which], self.filters[nth]
             counts = np.bincount(estimate.fix_outcome, minlength=len(FixOutcome))
             fused = int(counts[FixOutcome.FUSED])
-            nis = float(np.mean(estimate.nis[estimate.fused])) if fused else np.nan
+            nis = float(estimate.nis[estimate.fused].sum()) / fused if fused else np.nan
             self._rows.setdefault(name, []).append(
                 (
                     errors[i],
@@ -211,8 +210,8 @@ class Scorer:
                     misalignment_nees[i],
                     nis,
                     fused,
-                    estimate.delay,
-                    estimate.status.astype(np.int8),
+                    estimate.delay[rows],
+                    estimate.status[rows].astype(np.int8),
                 )
             )
             self._outcomes[name] = self._outcomes.get(name, 0) + counts

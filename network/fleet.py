@@ -11,8 +11,6 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import gaussian_filter1d
 
 from ..sins import attitude, earth
 from ..sins.settings import Settings
@@ -158,6 +156,8 @@ class CentrePath:
     def __init__(
         self, truth: Truth, start_s: float, end_s: float, base_height_m: float | None = None
     ) -> None:
+        from scipy.ndimage import gaussian_filter1d  # what many runs do not need is imported where it is
+
         if not start_s < end_s:
             raise FleetError(f"fleet from {start_s:g} s to {end_s:g} s: the end must be after the start")
         self.truth = truth
@@ -189,6 +189,8 @@ class Fleet:
     """
 
     def __init__(self, formation: Formation, path: CentrePath) -> None:
+        from scipy.interpolate import CubicSpline
+
         self.formation = formation
         self._path = path
         home = np.tile(formation.home[OWN_SHIP] * [1.0, 1.0, 0.0], (len(path.time), 1))

@@ -2,10 +2,10 @@
 
 import hashlib
 import io
+import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from ...aircraft.cache import cached_flight
 from ...aircraft.flight import Flight
 from ...aircraft.mission import FlightPlan
-from ...align.estimate import Array, Estimate
+from ...align.estimate import Array
 from ..run import Run, aligned, alignment_window, measured
 from ..scenario import Scenario
-from ..score import COLUMNS, SCORED, Scorer
+from ..score import COLUMNS, Scorer
 from .incidents import FIELDS, incidents
 from .plan import Shard
 
@@ -47,6 +47,8 @@ SCHEMA = pa.schema(
 """Of a shard. ``failure`` is null for a run that aligned; errors are estimate less truth at the end, null
 where there is no estimate; what befell it, see `incidents`; the histories, once a second from the start, have
 the root of the mean square of roll and pitch, and the size of the heading's error."""
+_LEAN: Any = {"use_dictionary": ["filter", "failure"], "write_statistics": False}
+"""Of Parquet: figures hardly repeat, and few rows are soon read."""
 _SEAL = b"sha256\x18\x40"
 """Key of a file's digest in its footer, and what Thrift puts between that and a text of 64 bytes."""
 
@@ -98,8 +100,7 @@ def _rows_together(
 
     made = each(lambda run_id: measured(scenario, flight, run_id, scenario.seed), {i: i for i in ids})
     runs = together(lambda made: aligned(made, scenario, flight), made)
-    done = each(lambda run: _Done.of(run, scenario), runs)
-    rows |= together(lambda done: _rows(scenario, window, point, done), done)
+    rows |= together(lambda runs: _rows(scenario, window, point, runs), runs)
     return [row for _, of_run in sorted(rows.items()) for row in of_run]
 
 
@@ -118,7 +119,7 @@ def sealed(table: pa.Table) -> bytes:  # pyright: ignore[reportUnknownParameterT
     """Parquet of a table, with a digest of the whole file: checksums of pages leave out what says where pages
     are and how they are read."""
     buffer = io.BytesIO()
-    with pq.ParquetWriter(buffer, table.schema, compression="zstd") as writer:
+    with pq.ParquetWriter(buffer, table.schema, compression="zstd", **_LEAN) as writer:
         writer.write_table(table)
         writer.add_key_value_metadata({"sha256": "0" * 64})
     content = buffer.getvalue()
@@ -149,44 +150,26 @@ def _told(error: Exception) -> str:
     return f"{type(error).__name__}: {first}".removesuffix(": ")
 
 
-class _Done(NamedTuple):
-    """A run with those rows of its histories that are kept, and the last; and what befell its filters."""
-
-    run: Run
-    befell: dict[str, dict[str, Any]]
-
-    @classmethod
-    def of(cls, run: Run, scenario: Scenario) -> "_Done":
-        rate_hz = scenario.alignment.settings.output_rate_hz
-        befell = {name: incidents(run, found, rate_hz) for name, found in run.estimates.items()}
-        time = next(iter(run.estimates.values())).time
-        rows = np.flatnonzero(np.append(_whole(time[:-1] - run.imu.time[0]), True))
-        thin = {name: _thinned(found, rows) for name, found in run.estimates.items()}
-        return cls(replace(run, estimates=thin), befell)
-
-
-def _thinned(found: Estimate, rows: NDArray[np.intp]) -> Estimate:
-    return replace(found, **{name: getattr(found, name).take(rows, axis=0) for name in SCORED})
-
-
 def _whole(since: Array) -> NDArray[np.bool_]:
     """Of times, s from the start of the alignment, those whose histories are kept."""
     return np.round(since * CURVE_HZ, 6) % 1 == 0
 
 
-def _rows(scenario: Scenario, window: Flight, point: int, done: list[_Done]) -> list[list[dict[str, Any]]]:
+def _rows(scenario: Scenario, window: Flight, point: int, runs: list[Run]) -> list[list[dict[str, Any]]]:
     """Rows of each run, one of each filter."""
-    if not done:
+    if not runs:
         return []
+    time = next(iter(runs[0].estimates.values())).time
     scorer = Scorer(window, scenario.alignment.filters)
-    scorer.add(*(one.run for one in done))
-    rows: list[list[dict[str, Any]]] = [[] for _ in done]
+    scorer.add(*runs, rows=np.flatnonzero(np.append(_whole(time[:-1] - window.time[0]), True)))
+    rate_hz = scenario.alignment.settings.output_rate_hz
+    rows: list[list[dict[str, Any]]] = [[] for _ in runs]
     for name, score in scorer.scores().items():
         whole = _whole(score.time)
-        times = score.time[whole].tolist()
-        level = np.sqrt(np.mean(score.errors[:, whole, :2] ** 2, axis=2))
-        heading = np.abs(score.errors[:, whole, 2])
-        for i, (run, befell) in enumerate(done):
+        times = score.time[whole].astype(np.float32)
+        level = np.sqrt(np.mean(score.errors[:, whole, :2] ** 2, axis=2)).astype(np.float32)
+        heading = np.abs(score.errors[:, whole, 2]).astype(np.float32)
+        for i, run in enumerate(runs):
             failure = score.failures.get(run.run_id)
             end = score.errors[i, -1] if failure not in ("no_fix", "no_coarse") else np.full(5, np.nan)
             rows[i].append(
@@ -195,19 +178,19 @@ def _rows(scenario: Scenario, window: Flight, point: int, done: list[_Done]) -> 
                     "run": run.run_id,
                     "filter": name,
                     "failure": failure,
-                    **{column: _known(value) for column, value in zip(COLUMNS, end, strict=True)},
-                    "nees": _known(score.nees[i, -1]),
-                    "nis": _known(score.nis[i]),
+                    **{column: _known(value) for column, value in zip(COLUMNS, end.tolist(), strict=True)},
+                    "nees": _known(float(score.nees[i, -1])),
+                    "nis": _known(float(score.nis[i])),
                     "fused": int(score.fused[i]),
                     "fixes": len(run.fixes),
-                    **befell[name],
+                    **incidents(run, run.estimates[name], rate_hz),
                     "history_time_s": times,
-                    "level_history_arcsec": level[i].tolist(),
-                    "heading_history_arcmin": heading[i].tolist(),
+                    "level_history_arcsec": level[i],
+                    "heading_history_arcmin": heading[i],
                 }
             )
     return rows
 
 
 def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return value if math.isfinite(value) else None

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from .bound import fisher_information
 from .least_squares import Loss, Refined, refine
@@ -95,7 +95,7 @@ def mirror_ambiguous(
         here = refine(part, x, loss=loss, usable=members)
         best, others = _search_group(part, here, members, loss, min_margin)
         freedom = max(int(touching.sum()) - 3 * int(members.sum()), 1)
-        doubtful |= members & (2 * here.cost > chi2.isf(_CHANCE, freedom))
+        doubtful |= members & (2 * here.cost > chdtri(freedom, _CHANCE))
         for other in others:
             if 2 * (other.cost - best.cost) < min_margin:
                 ambiguous |= members & far(other.x, solution.x, solution.cov)

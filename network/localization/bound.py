@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import cho_solve, eigh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from .problem import Array, Booleans, Integers, RangeProblem
 
@@ -132,4 +132,4 @@ def flipped(x: Array, truth: Array, cov: Array, probability: float = 1e-6) -> Bo
     Told from the truth, so for evaluation alone: the normalised error squared by ``cov`` (n, 3, 3), the
     Cramer-Rao bound, is above what chance exceeds with this ``probability``.
     """
-    return np.nan_to_num(normalized_error_squared(x, truth, cov)) > chi2.isf(probability, 3)
+    return np.nan_to_num(normalized_error_squared(x, truth, cov)) > chdtri(3, probability)

@@ -11,7 +11,7 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtri
 
 from ..fleet import OWN_SHIP
 from ._cholesky import covariance_blocks, factorize
@@ -46,11 +46,11 @@ class Limits:
     @cached_property
     def ranges(self) -> float:
         """Standard deviations of the bias of a node's ranges."""
-        return MARGIN * float(norm.isf(self.chance / 2))
+        return MARGIN * float(-ndtri(self.chance / 2))
 
     @cached_property
     def _of_beliefs(self) -> dict[int, float]:
-        return {B: MARGIN * float(np.sqrt(chi2.isf(self.chance, B))) for B in (6, 8)}
+        return {B: MARGIN * float(np.sqrt(chdtri(B, self.chance))) for B in (6, 8)}
 
     def belief(self, numbers: int) -> float:
         """Standard deviations of a belief of 6 numbers, or 8 with a clock, all together."""
@@ -242,5 +242,5 @@ def _variance_ratio(
     if freedom < 1:
         return np.inf, 1.0
     ratio = float(np.sum(w * residual[-window:, pairs] ** 2)) / freedom
-    noise = max(MARGIN**2, float(chi2.isf(chance, freedom)) / freedom)
+    noise = max(MARGIN**2, float(chdtri(freedom, chance)) / freedom)
     return ratio, noise

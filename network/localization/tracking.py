@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ..clock import SPEED_OF_LIGHT, ClockSettings
 from ..fleet import OWN_SHIP
@@ -172,7 +172,7 @@ class Tracker:
         spread[:, OWN_SHIP] = np.sqrt(np.einsum("kii->k", own_cov[:, :3, :3]))
 
         outcome = np.full((k, n), int(NodeOutcome.LOCATED))
-        limit = chi2.ppf(1 - INCONSISTENT_CHANCE, np.maximum(residuals - B, 1))
+        limit = chdtri(np.maximum(residuals - B, 1), INCONSISTENT_CHANCE)
         outcome[misfit > limit] = NodeOutcome.INCONSISTENT
         outcome[spread > self._settings.max_position_sd_m] = NodeOutcome.SINGULAR
         outcome[~converged] = NodeOutcome.NOT_CONVERGED
