@@ -11,7 +11,6 @@ from numba import njit
 
 from ..sins._kernels import COMPILED
 
-
 _COLUMNS = 6
 
 
