@@ -136,8 +136,8 @@ class Tracker:
         heights = np.broadcast_to(terms.height, (k, n)) if epochs.height is None else epochs.height
         out = states, own_cov, cov, misfit, residuals, neighbours, converged, shared
         times = np.concatenate([[epochs.t[0] if self._t is None else self._t], epochs.t])
-        # A copy: a read-only view is another type, for which the loops would be compiled again.
-        heights = np.array(heights)
+        # A copy, row by row: any other view is another type, for which the loops would be compiled again.
+        heights = np.array(heights, order="C")
         if self._settings.solver == "distributed":
             self._gossip.advance(
                 self._S, self._place(), epochs, times, terms, w_range, w_rate, beliefs, heights, out
