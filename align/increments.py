@@ -17,6 +17,7 @@ Good samples make up for as many held ones.
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -87,10 +88,10 @@ def conditioned(
     dt = base.interval_s
     find_broken(increments, dt, imu, reason)
     increments[0], reason[0] = 0.0, 0  # it has no interval
-    variance = np.zeros((n, 6))
     if not reason.any():
         counts = {SampleOutcome.OUT_OF_ORDER: refused} if refused else {}
-        return Record(base.time, increments, variance, counts, 0, n)
+        return Record(base.time, increments, _nothing(n), counts, 0, n)
+    variance = np.zeros((n, 6))
     bad, saturated = reason != 0, reason == SampleOutcome.SATURATED
     white, jitter = (np.zeros(6), np.zeros(6)) if imu is None else white_and_jitter(imu, dt)
     drift = dt * dt * np.repeat([ANGULAR_ACCELERATION, JERK], 3)
@@ -105,6 +106,12 @@ def conditioned(
     held = bad.any(axis=1)
     end = _end(held | joined(saturated.any(axis=1), BEFORE), dt, patience_s)
     return Record(base.time, increments, variance, counts, int(held.sum()), end)
+
+
+@lru_cache(maxsize=4)
+def _nothing(n: int) -> Array:
+    """What it costs that nothing is held, (n, 6): one array for all records, written to by none."""
+    return np.zeros((n, 6))
 
 
 def _unrest(increments: Array, bad: NDArray[np.bool_], dt: float, white: Array, jitter: Array) -> Array:

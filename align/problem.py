@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..sins.imu import ImuErrors
 from ..sins.units import MILLISECOND
 from . import _alignment_kernel, _cubature_kernel, _memory
 from ._kernels import N_X
@@ -15,7 +16,7 @@ from .estimate import HISTORIES, Array, Estimate, NavStatus, RunOutcome, SampleO
 from .inputs import AlignmentInput
 from .measurement import N_STATES
 from .reception import Integers, Reception, counted_from
-from .settings import DelayModel, Transform, initial_sd, noise_density
+from .settings import DelayModel, FilterSettings, Transform, initial_sd, noise_density
 
 
 class Problem(NamedTuple):
@@ -68,11 +69,8 @@ def pose(given: AlignmentInput, delay: DelayModel) -> Problem:
     delay_sd_ms = settings.stamp_sd_ms * stamped + settings.delay_sd_ms * estimated
     outcome, reception = counted_from(time, given.received, stamped, settings.stamp_sd_ms * MILLISECOND)
     before, after = given.output_epochs
-    delay_mean_ms = settings.delay_mean_ms if estimated else 0.0
-    initial = np.array([0.0] * 6 + [delay_mean_ms * MILLISECOND, *settings.lever_arm_b_m])
-    sd = initial_sd(settings, given.imu, delay)
-    density = np.zeros(len(sd))
-    density[:N_STATES] = noise_density(given.imu)
+    # Frozen settings have a hash, which the types do not tell.
+    initial, sd, density = _told(settings, given.imu, delay)  # pyright: ignore[reportArgumentType]
     return Problem(
         time=time,
         increments=record.increments[: record.end],
@@ -233,6 +231,18 @@ def state_columns(X: Array) -> dict[str, Array]:
         "delay": X[:, 16],
         "lever_arm_b": X[:, 17:20],
     }
+
+
+@lru_cache(maxsize=16)
+def _told(settings: FilterSettings, imu: ImuErrors, delay: DelayModel) -> tuple[Array, Array, Array]:
+    """Biases, delay and lever arm at the start, (10,), standard deviations there, (n,), and noise densities,
+    (n,): the same for many runs, and written to by none."""
+    delay_mean_ms = settings.delay_mean_ms if delay is DelayModel.ESTIMATED else 0.0
+    initial = np.array([0.0] * 6 + [delay_mean_ms * MILLISECOND, *settings.lever_arm_b_m])
+    sd = initial_sd(settings, imu, delay)
+    density = np.zeros(len(sd))
+    density[:N_STATES] = noise_density(imu)
+    return initial, sd, density
 
 
 @cache

@@ -164,7 +164,17 @@ class Campaign:
     """Of each point, the value of each axis."""
 
     def scenario(self, point: int) -> Scenario:
-        """The scenario at a point. Raises `ScenarioError`."""
+        """The scenario at a point, kept at hand for the point's next shards. Raises `ScenarioError`."""
+        if point not in self._at_hand:
+            self._at_hand.clear()
+            self._at_hand[point] = self._scenario(point)
+        return self._at_hand[point]
+
+    @cached_property
+    def _at_hand(self) -> dict[int, Scenario]:
+        return {}
+
+    def _scenario(self, point: int) -> Scenario:
         changes: dict[str, Any] = {"variants": {}, "seed": self.settings.seed}
         if self.settings.filters:
             changes["alignment.filters"] = list(self.settings.filters)
