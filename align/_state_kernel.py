@@ -86,13 +86,12 @@ def greatest_move(X, before):
 
 @njit(**COMPILED)
 def copy_state(X_from, P_from, X_to, P_to):
-    """Copy state and covariance; loops compile much faster than array assignments, and one is quicker than
-    two."""
+    """Copy state and covariance; loops compile much faster than array assignments."""
     for i in range(len(X_to)):
         X_to[i] = X_from[i]
-    source, target = P_from.reshape(P_from.size), P_to.reshape(P_to.size)
-    for i in range(len(target)):
-        target[i] = source[i]
+    for i in range(len(P_to)):
+        for j in range(len(P_to)):
+            P_to[i, j] = P_from[i, j]
 
 
 @njit(**COMPILED)
