@@ -17,7 +17,7 @@ from importlib import metadata
 from pathlib import Path
 
 import dask
-import distributed  # noqa: F401  (a setting that is changed for a time must have its default before)
+import distributed  # (a setting that is changed for a time must have its default before)
 import numpy as np
 import psutil
 import pyarrow.parquet as pq
@@ -157,7 +157,7 @@ def test_rows_are_the_runs(file, flight):
     run = simulate(scenario, flight, 3, 7)
     errors = errors_against(alignment_window(scenario, flight), run.estimates["l2linf"])
     assert [rows[3][c] for c in COLUMNS] == errors[-1].tolist()
-    assert rows[3]["history_time_s"] == [1.0, 2.0, 3.0, 4.0, 5.0]
+    assert rows[3]["history_time_s"].tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
     assert rows[3]["heading_history_arcmin"][-1] == pytest.approx(abs(errors[-1, 2]))
     assert done_shard(scenario, Shard(1, 2, 2)) == done_shard(scenario, Shard(1, 2, 2))
 
@@ -521,9 +521,10 @@ def scheduler(tmp_path):
     process.wait()
 
 
-def worker_of(address):
+def worker_of(address, *options):
+    command = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-dashboard", "--no-nanny"]
     return subprocess.Popen(
-        [sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-dashboard", "--no-nanny"],
+        [*command, *options],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
@@ -568,6 +569,48 @@ def test_workers_with_other_versions_are_refused(command, file, tmp_path, schedu
     assert (status, out) == (2, "")
     assert f"has numba {wanted['numba']}, and not 0.1 as here" in err
     assert not (tmp_path / "out").exists()
+
+
+LATE = """
+import time
+from pathlib import Path
+from fleetalign.cosim.campaign import plan
+plan.versions = lambda: {{"numba": "0.1"}}
+while not Path({first!r}).exists():
+    time.sleep(0.05)
+"""
+
+
+def test_a_worker_that_joins_late_with_other_versions_does_nothing(
+    command, file, tmp_path, scheduler, monkeypatch
+):
+    """It joins when the first shard is there, and the campaign is not over before."""
+    address, _ = scheduler
+    file.write_text(CAMPAIGN.replace("runs = 5", "runs = 20"))
+    (tmp_path / "late.py").write_text(LATE.format(first=str(tmp_path / "first")))
+    workers = [worker_of(address), worker_of(address, "--preload", str(tmp_path / "late.py"))]
+    add = Ledger.add
+
+    def then_joined(self, shard, content):
+        add(self, shard, content)
+        (tmp_path / "first").touch()
+        distributed.get_client().wait_for_workers(2, timeout=30)
+
+    monkeypatch.setattr(Ledger, "add", then_joined)
+    try:
+        with cluster._client(address) as client:
+            client.wait_for_workers(1, timeout=30)
+        where = "--out", tmp_path / "out", "--scheduler", address
+        status, out, err = command("campaign", file, *where, "--quiet")
+    finally:
+        for worker in workers:
+            worker.kill()
+            worker.wait()
+    assert (status, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert err.startswith("fleetalign: worker tcp://")
+    assert f"has fleetalign None, and not {cluster.versions()['fleetalign']} as here" in err
+    assert 1 <= len(contents(tmp_path / "out")) < 20
 
 
 TOLD_VERSION = "from fleetalign.cosim.campaign.plan import versions; print(versions()['fleetalign'])"

@@ -2,12 +2,13 @@
 
 import logging
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import closing
 from typing import Any
 
 from ..command_line import InputError
+from ..scenario import Scenario
 from .plan import Campaign, Shard, versions
 from .shard import done_shard, encoded, failed_rows
 
@@ -23,14 +24,16 @@ def check_cluster(scheduler: str | None) -> None:
     if scheduler is None:
         return
     with closing(_client(scheduler)) as client:
-        wanted = versions()
         for worker, found in client.run(versions, on_error="return").items():
             if not isinstance(found, dict):
-                raise InputError(f"--scheduler {scheduler}: worker {worker}: no such fleetalign: {found}")
-            for name, version in wanted.items():
-                if found.get(name) != version:
-                    told = f"worker {worker} has {name} {found.get(name)}, and not {version} as here"
-                    raise InputError(f"--scheduler {scheduler}: {told}")
+                raise InputError(f"worker {worker}: no such fleetalign: {found}")
+            _check_versions(worker, found, versions())
+
+
+def _check_versions(worker: str, found: dict[str, str], wanted: dict[str, str]) -> None:
+    for name, version in wanted.items():
+        if found.get(name) != version:
+            raise InputError(f"worker {worker} has {name} {found.get(name)}, and not {version} as here")
 
 
 def on_cluster(
@@ -43,8 +46,8 @@ def on_cluster(
     scheduler : address of one that runs, e.g. ``"tcp://10.0.0.5:8786"``; its workers need this fleetalign.
     workers : without a scheduler, so many processes of this machine, bound to `LOCALHOST`.
 
-    Raises `InputError` where `distributed` is not installed or the scheduler does not answer, and
-    ConnectionError where it is lost.
+    Raises `InputError` where `distributed` is not installed, the scheduler does not answer or a worker that
+    joined after `check_cluster` would give other bits, and ConnectionError where the scheduler is lost.
     """
     Client, LocalCluster = _distributed()
     if scheduler is None:
@@ -89,13 +92,14 @@ def _completed(client: Any, campaign: Campaign, shards: list[Shard]) -> Iterator
     from distributed.scheduler import KilledWorker
 
     waiting, by_key, suspects = list(reversed(shards)), dict[str, Shard](), list[Shard]()
+    wanted = versions()
     flying = as_completed([])
 
     def hand_out() -> None:
         threads = max(sum(client.nthreads().values()), 1)
         while waiting and len(by_key) < IN_WORK * threads:
             shard = waiting.pop()
-            task = client.submit(done_shard, campaign.scenario(shard.point), shard, pure=False)
+            task = _submitted(client, wanted, campaign.scenario(shard.point), shard)
             by_key[task.key] = shard
             flying.add(task)
 
@@ -114,19 +118,35 @@ def _completed(client: Any, campaign: Campaign, shards: list[Shard]) -> Iterator
             hand_out()
         # Run by run and with nothing beside it, the poison one alone is lost.
         for shard in suspects:
-            yield shard, _run_by_run(client, campaign, shard)
+            yield shard, _run_by_run(client, wanted, campaign, shard)
     except (CancelledError, OSError) as error:  # of what keeps a shard nothing comes here
         raise ConnectionError("the scheduler is lost") from error
 
 
-def _run_by_run(client: Any, campaign: Campaign, shard: Shard) -> bytes:
+def _submitted(client: Any, wanted: dict[str, str], scenario: Scenario, shard: Shard) -> Any:
+    return client.submit(_as_wanted, wanted, done_shard, scenario, shard, pure=False)
+
+
+def _as_wanted(
+    wanted: dict[str, str], done: Callable[[Scenario, Shard], bytes], scenario: Scenario, shard: Shard
+) -> bytes:
+    """On a worker, which may have joined after the check. What a plugin's `setup` raises there is logged, and
+    the worker goes on: so it is here that such a one is told apart. Without fleetalign it cannot read the
+    task, and ends. Raises `InputError`."""
+    from distributed import get_worker
+
+    _check_versions(get_worker().address, versions(), wanted)
+    return done(scenario, shard)
+
+
+def _run_by_run(client: Any, wanted: dict[str, str], campaign: Campaign, shard: Shard) -> bytes:
     from distributed.scheduler import KilledWorker
 
     from .engine import DIED, rows_of
 
     scenario, rows = campaign.scenario(shard.point), list[dict[str, Any]]()
     for run_id in range(shard.first_run, shard.first_run + shard.runs):
-        task = client.submit(done_shard, scenario, Shard(shard.point, run_id, 1), pure=False)
+        task = _submitted(client, wanted, scenario, Shard(shard.point, run_id, 1))
         try:
             rows += rows_of(task.result())
         except KilledWorker:
