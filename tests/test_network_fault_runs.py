@@ -1,4 +1,4 @@
-"""Many runs of a fleet that is lied to, attacked and disturbed: what both filters make of its fixes.
+"""A hundred runs of a fleet that is lied to, attacked and disturbed: what both filters make of its fixes.
 
 The bundled scenario on a smaller fleet and a shorter window; each fault against the same runs without it.
 """
@@ -16,8 +16,6 @@ from fleetalign.cosim.scenario import load_scenario, replaced
 from fleetalign.cosim.score import Scorer
 
 RUNS = 100
-FEWER = {"attacked": 40, "clocks": 30}
-"""Runs where it is each packet, or each digit, that counts: means are those of the same runs."""
 FILTERS = ("ekf_stamped", "l2linf")
 USED = (FixOutcome.FUSED, FixOutcome.INITIALIZED)
 SMALL = {
@@ -129,7 +127,7 @@ def played(flight):
 
     def of(name):
         if name not in kept:
-            kept[name] = play(flight, FAULTS[name], FEWER.get(name, RUNS))
+            kept[name] = play(flight, FAULTS[name], RUNS)
         return kept[name]
 
     return of
@@ -137,8 +135,7 @@ def played(flight):
 
 def ratios(faulty, clean, name):
     """Of RMS errors at the end to those of the same runs without the fault, each with its 95 % interval."""
-    errors = faulty.errors[name]
-    return paired_ratios(errors, clean.errors[name][: len(errors)])
+    return paired_ratios(faulty.errors[name], clean.errors[name])
 
 
 def test_nobody_honest_is_left_out_and_errors_are_known(played):
@@ -173,16 +170,15 @@ def test_an_anchor_that_drifts_is_out_within_30_s_in_all_runs(played):
 def test_no_packet_that_is_false_or_old_or_by_a_wrong_key_is_used(played):
     attacked, clean = played("attacked"), played("clean")
     # A fifth is forged, a tenth changed, a tenth sent again, of a hundred packets a run.
-    assert attacked.refused > 30 * FEWER["attacked"]
+    assert attacked.refused > 30 * RUNS
     assert attacked.refused_used == 0
     for name in FILTERS:
         row = attacked.rows["filters"][name]
         assert row["forged_fused"] == row["replayed_fused"] == 0
         for group, ratio in ratios(attacked, clean, name).items():
             assert ratio[2] <= 1.5, (name, group)
-    # One of sixteen nodes makes the fixes, and one of seven anchors has no key: 2.5 of 40, and five standard
-    # deviations of 1.5.
-    assert 0 < attacked.keyless < 10
+    # One of sixteen nodes makes the fixes, and one of seven anchors has no key.
+    assert 0 < attacked.keyless < 20
     assert attacked.failures == attacked.keyless * len(FILTERS)
 
 
@@ -222,13 +218,12 @@ def test_clocks_that_jump_by_a_microsecond_do_no_harm_two_way(played):
     clocks, clean = played("clocks"), played("clean")
     assert clocks.failures == 0
     # No range knows of it.
-    runs = FEWER["clocks"]
-    np.testing.assert_array_equal(clocks.fix_nees, clean.fix_nees[:runs])
+    np.testing.assert_array_equal(clocks.fix_nees, clean.fix_nees)
     for name in FILTERS:
-        low, high = mean_band(3, runs)
+        low, high = mean_band(3, RUNS)
         assert low < clocks.nees[name].mean() < high
         for group, ratio in ratios(clocks, clean, name).items():
             assert ratio[2] < 1.2, (name, group)
     # The stamps do: a filter that goes by them does not get the same digits.
-    some = clocks.errors["ekf_stamped"], clean.errors["ekf_stamped"][:runs]
+    some = clocks.errors["ekf_stamped"], clean.errors["ekf_stamped"]
     assert not np.array_equal(*some)
