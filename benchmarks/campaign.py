@@ -33,6 +33,8 @@ KERNEL_TARGET, LEDGER_TARGET, MEMORY_TARGET, DASK_TARGET = 0.90, 0.02, 1.10, 0.8
 PAUSES = 20
 """Of a campaign, in which its parts are timed alone: the machine's pace drifts."""
 DASK_ROUNDS = 2
+_LOOKS = 100
+"""At how much memory there is, over a campaign."""
 _SHARD_RUNS = 25
 
 
@@ -176,6 +178,8 @@ def _timed(
 
         def progress(done: float, total: float) -> None:
             nonlocal paused_s
+            if done / total < len(whole.memory) / _LOOKS:  # each takes time of the campaign
+                return
             workers = _workers(alone)
             memory = sum(process.memory_info().rss for process in (psutil.Process(), *workers))
             whole.memory.append((done / total, memory / 1e6))
