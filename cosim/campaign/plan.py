@@ -5,7 +5,7 @@ import json
 import math
 import platform
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from importlib import metadata
 from itertools import product
 from pathlib import Path
@@ -132,6 +132,7 @@ class CampaignFile(Settings):
         return axes
 
 
+@cache
 def versions() -> dict[str, str]:
     """Of this process's Python, and of the programs by which the last bits of a run may differ; fleetalign's
     with the first digits of a digest of its code."""
