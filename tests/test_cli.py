@@ -1,5 +1,6 @@
 """The command line: what it writes, what it prints, and how it refuses."""
 
+import io
 import json
 import os
 import signal
@@ -9,9 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 from fleetalign.aircraft import cache
 from fleetalign.aircraft.envelope import FlightError
-from fleetalign.cosim import outputs
+from fleetalign.cosim import outputs, terminal
 from fleetalign.cosim.run import simulate
 from fleetalign.cosim.score import COLUMNS
+from rich.console import Console
 
 FILES = {"summary.json", "estimates.parquet", "recording.rrd", "report.html", "manifest.json"}
 SHORT = """
@@ -296,3 +298,56 @@ def test_alignment_in_a_phase_that_ends_too_late_ends_with_one_line(command, tmp
     assert status == 2
     assert "late.toml: alignment" in err
     assert len(err.splitlines()) == 1
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """The time by which progress goes, in a list."""
+    now = [1000.0]
+    monkeypatch.setattr(terminal, "monotonic", lambda: now[0])
+    return now
+
+
+@pytest.mark.parametrize(("later_s", "left"), [(0, "0:00:44"), (36, "0:00:08"), (100, "-:--:--")])
+def test_the_rate_of_lumps_is_that_of_all_the_time(clock, monkeypatch, later_s, left):
+    """Two shards end within half a second, after a minute; 20 runs are of a command before."""
+    shown = io.StringIO()
+    monkeypatch.setattr(terminal, "error_console", Console(file=shown, force_terminal=True, width=120))
+    with terminal.progress_bar("campaign", False, "runs") as progress:
+        progress(20, 160)
+        for done, after_s in ((60, 57.0), (100, 0.5)):
+            clock[0] += after_s
+            progress(done, 160)
+        clock[0] += later_s
+    # 80 runs in 57.5 s; 60 are left.
+    last = shown.getvalue().replace("\x1b[0m", "").rpartition("100/160")[2]
+    assert "1.39 runs/s" in last
+    assert left in last
+
+
+@pytest.mark.parametrize(("total", "apart"), [(1000, 100), (420, 60), (100_000, 600)])
+def test_where_nobody_watches_progress_is_a_line_now_and_then(clock, capfd, total, apart):
+    """Of one run a second: a line each tenth of the work, but each minute at most, each ten at least."""
+    with terminal.progress_bar("campaign", False, "runs") as progress:
+        for done in range(0, min(total, 2000) + 1, 10):
+            progress(done, total)
+            clock[0] += 10
+    out, err = capfd.readouterr()
+    first, second, *_ = lines = err.splitlines()
+    assert out == ""
+    assert [int(line.split()[1]) for line in lines] == list(range(10, min(total, 2001), apart))
+    assert first.startswith(f"campaign: 10 of {total} runs, 1 runs/s, ")
+    if total == 1000:
+        assert second == "campaign: 110 of 1000 runs, 1 runs/s, 0:14:50 left"
+
+
+@pytest.mark.parametrize(
+    ("silent", "pause_s", "told"),
+    [(False, 1.0, "aligning: 20%, 0:00:08 left\n"), (False, 0.1, ""), (True, 1.0, "")],
+)
+def test_what_is_over_soon_or_silent_has_no_line_of_progress(clock, capfd, silent, pause_s, told):
+    with terminal.progress_bar("aligning", silent) as progress:
+        for done in range(11):
+            progress(done, 10)
+            clock[0] += pause_s
+    assert capfd.readouterr().err == told
