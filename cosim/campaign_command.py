@@ -35,11 +35,13 @@ def campaign(
 
     if scheduler is not None and workers is not None:
         raise InputError("--workers: not beside --scheduler, whose workers are its own")
-    plan = load_campaign(file)
+    silent = quiet or as_json
+    with progress_bar("checking points", silent, "points") as progress:
+        plan = load_campaign(file, progress)
     dask = scheduler is not None or workers is not None
     if dask:
         check_cluster(scheduler)
-    folder, silent = output_folder(out or Path(f"fleetalign-campaign-{file.stem}")), quiet or as_json
+    folder = output_folder(out or Path(f"fleetalign-campaign-{file.stem}"))
     done_by = partial(on_cluster, scheduler=scheduler, workers=workers) if dask else locally
     total = plan.settings.runs * len(plan.coordinates)
     ledger: Ledger | None = None
@@ -82,7 +84,7 @@ def _tell(folder: Path, summary: "CampaignSummary", quiet: bool, as_json: bool) 
     if as_json:
         typer.echo(json.dumps(summary.content, indent=2, allow_nan=False))
     elif not quiet:
-        out_console.print(campaign_table(summary))
+        out_console.print(campaign_table(summary, out_console))
         for line in told_worst(folder, summary.worst):
             out_console.print(line, soft_wrap=True)
         out_console.print(f"report     {folder / 'report.html'}", soft_wrap=True)

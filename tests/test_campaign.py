@@ -15,6 +15,7 @@ from concurrent.futures import wait
 from functools import partial
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 
 import dask
 import distributed  # (a setting that is changed for a time must have its default before)
@@ -27,10 +28,12 @@ from fleetalign.cosim.campaign.cluster import on_cluster
 from fleetalign.cosim.campaign.engine import locally, run_campaign
 from fleetalign.cosim.campaign.ledger import Ledger, read_points
 from fleetalign.cosim.campaign.plan import Shard, load_campaign
+from fleetalign.cosim.campaign.report import campaign_table
 from fleetalign.cosim.campaign.shard import done_shard, encoded, failed_rows, shard_rows
 from fleetalign.cosim.run import alignment_window, simulate
 from fleetalign.cosim.scenario import ScenarioError
 from fleetalign.cosim.score import COLUMNS, errors_against
+from rich.console import Console
 
 SCENARIO = """
 title = "Five seconds"
@@ -739,3 +742,86 @@ def test_one_run_alone_is_that_run_among_the_others(command, file, tmp_path, und
     status, _, err = command("run", scenario, "--run-id", 3, "--runs", 2)
     assert status == 2
     assert "--run-id: not beside --runs" in err
+
+
+@pytest.mark.parametrize("design", ["grid", "latin_hypercube"])
+def test_a_bad_value_among_many_points_is_told_soon(command, file, monkeypatch, design):
+    checked, replaced = [], plan.replaced
+    monkeypatch.setattr(plan, "replaced", lambda *how, **more: checked.append(1) or replaced(*how, **more))
+    stated = CAMPAIGN.replace("seed = 7", f'seed = 7\ndesign = "{design}"\npoints = 2000')
+    for axis in ("position_sd_m", "rate_hz"):
+        stated += f'[axes."fixes.{axis}"]\nlow = 5\nhigh = 10\nsteps = 20\n'
+    file.write_text(stated.replace("[0.1, 0.2]", "[0.1, 0.2, -3, 0.3]"))
+    status, _, err = command("campaign", file)
+    assert status == 2
+    assert "fixes.velocity_sd_mps = -3" in err
+    assert len(err.splitlines()) == 1
+    # The two at the ends of the design, of both ranges, and some of the values before it.
+    assert len(checked) <= 10
+
+
+def test_a_bad_combination_of_good_values_is_told_in_one_line(command, file):
+    fault = '[[faults.imu]]\nkind = "dropped"\nstart_s = 1\nduration_s = 1\n'
+    (file.parent / "five.toml").write_text(SCENARIO + fault)
+    # Five seconds hold all sums but that of the middle ones.
+    axes = [f'[axes."faults.imu.0.{name}_s"]\nvalues = [{values}]\n' for name, values in FAULTS.items()]
+    file.write_text(CAMPAIGN.partition("[axes")[0] + "".join(axes))
+    status, _, err = command("campaign", file)
+    assert status == 2
+    assert "at faults.imu.0.start_s = 3.0, faults.imu.0.duration_s = 4.0: scenario: faults.imu[0]" in err
+    assert len(err.splitlines()) == 1
+    told = []
+    file.write_text(file.read_text().replace("3.0", "1.0"))
+    load_campaign(file, lambda *done: told.append(done))
+    assert told == [(done, 9) for done in range(9)]
+
+
+FAULTS = {"start": "0.5, 3.0, 0.25", "duration": "1.0, 4.0, 2.0"}
+
+
+def test_a_plan_that_was_changed_is_refused(command, file, tmp_path, undrawn):
+    folder = tmp_path / "out"
+    Ledger(folder, load_campaign(file), resume=False).close()
+    assert command("report", folder, "--quiet")[0] == 0
+    kept = folder / "campaign.json"
+    written = kept.read_text()
+    for change in (('"runs": 5', '"runs": 4'), ("0.2", "0.25"), ("Fixes of two", "Fixes of 2")):
+        kept.write_text(written.replace(*change))
+        assert kept.read_text() != written
+        for line in (("report", folder), ("campaign", file, "--out", folder, "--resume")):
+            status, out, err = command(*line)
+            assert (status, out) == (2, "")
+            assert f"{kept}: not as it was written" in err
+            assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("width", "shown"), [(160, 4), (80, 2), (50, 0)])
+def test_points_are_told_apart_however_narrow_the_table(width, shown):
+    names = [
+        "fixes.position_sd_m",
+        "fixes.velocity_sd_mps",
+        "flight.s_maneuver.lateral_acceleration_mps2",
+        "faults.packets.outlier_share",
+    ]
+    scores = [
+        SimpleNamespace(
+            point=point, filter="ekf_stamped", runs=100, failed=0, nees=3.0, rms=dict.fromkeys(RMS, RMS_OF)
+        )
+        for point in (0, 123)
+    ]
+    coordinates = [dict(zip(names, (20.5 + i, 0.125, 6.5, 0.01), strict=True)) for i in range(124)]
+    content = {"title": "T", "settings": {"axes": dict.fromkeys(names)}, "coordinates": coordinates}
+    page = Console(file=io.StringIO(), width=width)
+    page.print(campaign_table(SimpleNamespace(plan=content, scores=scores), page))
+    lines = page.file.getvalue().splitlines()
+    rows = [line.split() for line in lines if "ekf_stamped" in line or "ekf_sta" in line]
+    assert [row[0] for row in rows] == ["0", "123"]
+    assert [row[1 : shown + 1] for row in rows] == [
+        [value, "0.125", "6.5", "0.01"][:shown] for value in ("20.5", "143.5")
+    ]
+    note = " ".join(" ".join(lines).partition("in the report: ")[2].split())
+    assert note == ", ".join(name.rpartition(".")[2] for name in names[shown:])
+    assert ("\u2026" in " ".join(lines)) == (width < 60)
+
+
+RMS, RMS_OF = ("level", "heading", "velocity"), (12.34, 10.0, 15.0)

@@ -1,5 +1,6 @@
 """What is done of a campaign, in a folder: one Parquet file a shard, there whole or not at all."""
 
+import hashlib
 import json
 import os
 import re
@@ -85,6 +86,7 @@ class Ledger:
                 "base": base,
                 "coordinates": list(campaign.coordinates),
             }
+            content["content_sha256"] = content_digest(content)
             _write(plan, json.dumps(content, indent=2).encode())
         return {shard for shard in campaign.shards if shard.name in found and self._sound(shard)}
 
@@ -127,6 +129,7 @@ class _Plan(Settings):
     settings: CampaignFile
     base: Scenario
     coordinates: tuple[dict[str, float | int | bool | str], ...]
+    content_sha256: str
 
     @model_validator(mode="after")
     def _points_on_the_axes(self) -> Self:
@@ -134,6 +137,12 @@ class _Plan(Settings):
             if point.keys() != self.settings.axes.keys():
                 raise ValueError(f"coordinates[{number}]: must have a value of each of settings.axes")
         return self
+
+
+def content_digest(content: dict[str, Any]) -> str:
+    """SHA-256 of all that a plan says but that itself."""
+    said = {key: value for key, value in content.items() if key != "content_sha256"}
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
 
 def read_plan(folder: Path) -> dict[str, Any]:
@@ -159,6 +168,8 @@ def read_plan(folder: Path) -> dict[str, Any]:
         plan = _Plan.model_validate(content, context={"folder": folder / POINTS})
     except ValidationError as error:
         raise ScenarioError(told_mistakes(told, error, _Plan, "plan")) from error
+    if plan.content_sha256 != content_digest(content):
+        raise ScenarioError(f"{told}: not as it was written: its content is not that of its content_sha256")
     return content | {"settings": plan.settings.model_dump(mode="json")}
 
 

@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 import platform
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import metadata
@@ -200,8 +201,11 @@ class Campaign:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def load_campaign(path: Path) -> Campaign:
-    """The campaign of a TOML file. Raises `ScenarioError`, one line for each mistake."""
+def load_campaign(path: Path, progress: Callable[[float, float], None] | None = None) -> Campaign:
+    """The campaign of a TOML file. Raises `ScenarioError`, one line for each mistake.
+
+    ``progress`` is called with the points that are checked and all: each takes about a millisecond.
+    """
     told = printable(str(path))
     try:
         content = read_toml(path, told)
@@ -217,9 +221,11 @@ def load_campaign(path: Path) -> Campaign:
         raise ScenarioError(told_mistakes(told, error, CampaignFile, "campaign")) from error
     base = _base(path, settings.scenario)
     campaign = Campaign(settings, base, tuple(_points(settings)))
-    # A value out of its range is at one end of its axis or the other: these points first.
     count = len(campaign.coordinates)
-    for point in dict.fromkeys((0, count - 1, *range(count))):
+    telling = _telling(settings, campaign.coordinates)
+    for checked, point in enumerate(dict.fromkeys((*telling, *range(count)))):
+        if progress:
+            progress(checked, count)
         try:
             campaign.scenario(point)
         except ScenarioError as error:
@@ -265,6 +271,19 @@ def _points(settings: CampaignFile) -> list[dict[str, Any]]:
         {name: _on(axis, float(share)) for name, axis, share in zip(names, axes, row, strict=True)}
         for row in cube
     ]
+
+
+def _telling(settings: CampaignFile, coordinates: Sequence[dict[str, Any]]) -> list[int]:
+    """Points at which a mistake shows soonest: the first and the last, both ends of each range, and the first
+    point of each value, on a grid the one beside the first values of the other axes."""
+    ends, first = list[int](), dict[tuple[str, type, Any], int]()
+    for name, axis in settings.axes.items():
+        values = [point[name] for point in coordinates]
+        if isinstance(axis, Range):
+            ends += values.index(min(values)), values.index(max(values))
+        for number, value in enumerate(values):
+            first.setdefault((name, type(value), value), number)  # the type, too: true is not 1
+    return [0, len(coordinates) - 1, *ends, *first.values()]
 
 
 def _on(axis: Values | Range, share: float) -> Any:

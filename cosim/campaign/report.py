@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
+from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -115,12 +116,23 @@ def shortest(axes: Sequence[str]) -> list[str]:
     return list(map(told, axes))
 
 
-def campaign_table(summary: CampaignSummary) -> Table:
-    """RMS, NEES and failures by point and filter."""
-    table = Table(title=Text(summary.plan["title"]), box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+def campaign_table(summary: CampaignSummary, console: Console) -> Table:
+    """RMS, NEES and failures by point and filter, with as many axes as the console is wide enough for."""
+    axes, wide = list(summary.plan["settings"]["axes"]), console.options.update(width=10_000)
+    for count in range(len(axes), 0, -1):
+        table = _table(summary, count)
+        if console.measure(table, options=wide).maximum <= console.width:
+            return table
+    return _table(summary, 0)
+
+
+def _table(summary: CampaignSummary, count: int) -> Table:
+    """With the first few axes."""
+    table = Table(title=Text(summary.plan["title"]), box=SIMPLE_HEAD, pad_edge=False, padding=0)
     axes = list(summary.plan["settings"]["axes"])
-    for name in shortest(axes):
-        table.add_column(name.replace("_", "_\n"), justify="right")
+    names = shortest(axes)
+    for heading in ("point", *(name.replace("_", "_\n") for name in names[:count])):
+        table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("filter", no_wrap=True)
     for heading in ("level\narcsec", "heading\narcmin", "velocity\nm/s", "NEES\nof 3", "failed"):
         table.add_column(heading, justify="right", no_wrap=True)
@@ -128,9 +140,9 @@ def campaign_table(summary: CampaignSummary) -> Table:
         at = summary.plan["coordinates"][score.point]
         figures = [number(score.rms[g][0], d) for g, d in (("level", 1), ("heading", 2), ("velocity", 3))]
         failed = f"{score.failed}/{score.runs}"
-        table.add_row(
-            *(short(at[name]) for name in axes), score.filter, *figures, number(score.nees, 2), failed
-        )
-    if len(summary.scores) > _LINES:
-        table.caption = f"{len(summary.scores) - _LINES} more lines in the report"
+        table.add_row(*place, score.filter, *figures, number(score.nees, 2), failed)
+    left_out = [f"{len(summary.scores) - _LINES} more lines"] if len(summary.scores) > _LINES else []
+    left_out += names[count:]
+    table.caption = Text(f"in the report: {', '.join(left_out)}") if left_out else None
     return table
+        place = str(score.point), *(short(at[name]) for name in axes[:count])
