@@ -6,6 +6,9 @@ those after it agree with its level; one that is ahead of those that follow, or 
 Jitter is rounded against the phase of the stamps about it, and not interval by interval: a stamp that is late
 by more than half an interval is no missing sample.
 
+Where it is known when time begins, and so where the attitude at the start belongs, samples that are missing
+there are missing, and a clock that is wrong from then on is waited for; else the first of them are right.
+
 What cannot be told: a clock that steps forward for good looks like missing samples.
 """
 
@@ -43,9 +46,9 @@ class TimeBase(NamedTuple):
     """(m,) rows that have no sample, for it was refused."""
 
 
-def time_base(time: Array, increments: Array, until_s: float | None = None) -> TimeBase:
-    """Parameters: ``time`` (n,) s, as stamped; ``increments`` (n, 6), by which copies are told; ``until_s``,
-    to when there should be samples.
+def time_base(time: Array, increments: Array, span_s: tuple[float, float] | None = None) -> TimeBase:
+    """Parameters: ``time`` (n,) s, as stamped; ``increments`` (n, 6), by which copies are told; ``span_s``,
+    from when to when there should be samples: without it time begins as the first of them tell.
 
     Raises ValueError for fewer than two rows in order of time.
     """
@@ -62,24 +65,16 @@ def time_base(time: Array, increments: Array, until_s: float | None = None) -> T
     if not even:
         dt = float(np.median(forward))
         even = every and len(forward) == len(step) and step.max() < 1.5 * dt
-    if even:
+    start = None if span_s is None else span_s[0]
+    if even and (start is None or abs(time[0] - start) < 0.5 * dt):
         taken, row, new_time = np.ones(n, bool), np.arange(n), time
         without = np.zeros(n, bool)
     else:
         dt = _interval(time[finite], dt)
-        taken, row, count, phase = _placed(time, finite, increments, dt)
-        if len(row) < 2:
-            raise ValueError("time must increase, over two rows or more")
-        # Samples that were refused at either end have had their time all the same.
-        before, after = int(count[taken][0]), int(count[-1] - count[taken][-1])
-        row = row - row[0] + before
-        stamped = _even(time[taken], row, phase, dt)
-        new_time = _filled(stamped, row, row[-1] + 1 + after, dt)
-        between = np.diff(np.flatnonzero(taken)) > 1
-        without = np.repeat([True, *between, True], np.diff(row, prepend=-1, append=len(new_time) - 1))
-        without[row] = False
-    if until_s is not None:
-        more = int(min(max((until_s - new_time[-1]) / dt + 0.25, 0.0), MOST_FILLED))  # the last may be early
+        taken, row, new_time, without = _restored(time, finite, increments, dt, start)
+    if span_s is not None:
+        lacking = (span_s[1] - new_time[-1]) / dt + 0.25  # the last may be early
+        more = int(min(max(lacking, 0.0), MOST_FILLED))
         new_time = np.append(new_time, new_time[-1] + dt * np.arange(1, more + 1)) if more else new_time
         without = np.append(without, np.zeros(more, bool)) if more else without
     return TimeBase(new_time, dt, taken, row, without)
@@ -97,18 +92,19 @@ def rows_of(time: Array) -> Integers:
     return row - row[0]
 
 
-def levels(ahead: Array, count: Integers) -> tuple[Mask, Integers]:
+def levels(ahead: Array, count: Integers, level: float | None = None) -> tuple[Mask, Integers]:
     """Which samples to take, and their rows; the rows of others mean nothing.
 
     Parameters: ``ahead`` (n,) and ``count`` (n,): by how many intervals each stamp is ahead of its count, and
-    that count, which increases.
+    that count, which increases; ``level`` of the start, where it is known: no row is before it.
     """
     taken, row = np.ones(len(ahead), bool), np.zeros(len(ahead), np.int64)
-    level = float(np.median(ahead[:FIRST]))
+    before = -(2**62) if level is None else -1
+    level = float(np.median(ahead[:FIRST])) if level is None else level
     changes = np.flatnonzero(ahead != level)
     first = int(changes[0]) if len(changes) else len(ahead)
     row[:first] = count[:first] + int(level)
-    last = int(row[first - 1]) if first else -(2**62)
+    last = int(row[first - 1]) if first else before
     for k in range(first, len(ahead)):
         if ahead[k] > level or ahead[k] == level - 1:
             of_most = float(np.median(ahead[k : k + AGREEING]))
@@ -151,8 +147,35 @@ def _interval(time: Array, dt: float) -> float:
     return dt
 
 
+def _restored(
+    time: Array, finite: Mask, increments: Array, dt: float, start: float | None
+) -> tuple[Mask, Integers, Array, Mask]:
+    """`TimeBase.taken`, `row`, `time` to the last stamp, and `refused`, of stamps that are not even or do not
+    begin at the start."""
+    taken, row, count, zero = _placed(time, finite, increments, dt, start)
+    if len(row) < 2:
+        if start is None:
+            raise ValueError("time must increase, over two rows or more")
+        rows = int(count[-1]) + 1
+        return (
+            np.zeros(len(time), bool),
+            row[:0],
+            np.linspace(start, start + dt * count[-1], rows),
+            np.ones(rows, bool),
+        )
+    # Samples that were refused at either end have had their time all the same.
+    before, after = int(count[taken][0]), int(count[-1] - count[taken][-1])
+    if start is None:
+        row = row - row[0] + before
+    new_time = _filled(_even(time[taken], row, zero, dt), row, row[-1] + 1 + after, dt)
+    between = np.diff(np.flatnonzero(taken)) > 1
+    refused = np.repeat([before > 0, *between, True], np.diff(row, prepend=-1, append=len(new_time) - 1))
+    refused[row] = False
+    return taken, row, new_time, refused
+
+
 def _placed(
-    time: Array, finite: Mask, increments: Array, dt: float
+    time: Array, finite: Mask, increments: Array, dt: float, start: float | None
 ) -> tuple[Mask, Integers, Integers, Array]:
     """Samples to take (n,), the rows of those (j,), counts of all (n,), and for those the time, (j,) s, of
     row 0 by their phase."""
@@ -166,10 +189,11 @@ def _placed(
     count = np.cumsum(~copy) - 1
     numbers = np.flatnonzero(finite & ~copy)
     ahead, zero = ahead_of_count(time[numbers], count[numbers], dt)
-    base = np.median(ahead[:FIRST])
+    begins = ahead if start is None else np.rint((start - zero) / dt)
+    base = np.median(begins[:FIRST])
     ahead = np.clip(ahead - base, -MOST_FILLED - 1.0, MOST_FILLED + 1.0)
     ahead[ahead > MOST_FILLED] = -MOST_FILLED  # no gap is as long
-    good, row = levels(ahead, count[numbers])
+    good, row = levels(ahead, count[numbers], None if start is None else 0.0)
     taken = np.zeros(len(time), bool)
     taken[numbers[good]] = True
     return taken, row[good], count, (zero + dt * base)[good]

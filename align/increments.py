@@ -65,18 +65,19 @@ def conditioned(
     dv_b: ArrayLike,
     imu: ImuErrors | None,
     patience_s: float,
-    until_s: float | None = None,
+    span_s: tuple[float, float] | None = None,
 ) -> Record:
     """The record that a filter takes of what arrived.
 
     Parameters: ``time`` (n,) s, ``dtheta_b`` and ``dv_b`` (n, 3), rad and m/s, as they came; ``imu``, the
     error budget that is told, by which samples are judged (None: whether they are numbers is all that is
-    asked); ``patience_s``, how long samples may be held; ``until_s``, to when there should be samples (None:
-    to the last that came). Raises ValueError for other shapes, and fewer than two rows in order of time.
+    asked); ``patience_s``, how long samples may be held; ``span_s``, from when to when there should be
+    samples (None: from the first that came to the last). Raises ValueError for other shapes, and fewer than
+    two rows in order of time.
     """
     time, dtheta_b, dv_b = checked_shapes(time, dtheta_b, dv_b)
     increments = side_by_side(dtheta_b, dv_b)
-    base = time_base(time, increments, until_s)
+    base = time_base(time, increments, span_s)
     n, refused = len(base.time), int(np.count_nonzero(~base.taken))
     reason = np.zeros((n, 6), np.int8)
     if refused or n > len(time):

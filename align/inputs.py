@@ -61,16 +61,17 @@ class AlignmentInput:
         settings: FilterSettings,
         imu: ImuErrors,
         gravity: GravityModel,
-        until_s: float | None = None,
+        span_s: tuple[float, float] | None = None,
     ) -> "AlignmentInput":
         """Of what was measured.
 
         Parameters
         ----------
         time : (n,) s. dtheta_b, dv_b : (n, 3) rad and m/s over the interval that ends at ``time``.
-        q_nb_coarse : (4,) attitude at ``time[0]``.
+        q_nb_coarse : (4,) attitude at ``time[0]``, or where ``span_s`` begins.
         fixes : in any order; taken by arrival.
-        until_s : s, to when there should be samples; None: to the last that came.
+        span_s : s, from when, which is where the coarse attitude belongs, to when there should be samples;
+            None: from the first that came to the last.
 
         Samples and fixes that are broken are found here: such a sample is replaced, at a cost to the
         covariance (`increments`), such a fix has the reason for its outcome (`reception`).
@@ -78,7 +79,7 @@ class AlignmentInput:
         Raises ValueError for arrays that do not make up a record (`increments.conditioned`) or an attitude
         that is no unit quaternion.
         """
-        record = conditioned(time, dtheta_b, dv_b, imu, settings.imu_patience_s, until_s)
+        record = conditioned(time, dtheta_b, dv_b, imu, settings.imu_patience_s, span_s)
         q_nb_coarse = np.array(q_nb_coarse, float)
         if q_nb_coarse.shape != (4,) or not abs(np.linalg.norm(q_nb_coarse) - 1) < 1e-6:
             raise ValueError(f"q_nb_coarse must be a unit quaternion, not {q_nb_coarse}")

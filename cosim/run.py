@@ -95,8 +95,9 @@ def measured(scenario: Scenario, flight: Flight, run_id: int, seed: int) -> tupl
         rng = generator(seed, run_id, "packet faults")
         outlier = packet_faults.outliers(fixes, scenario.faults.packets, rng)
     record = imu.time, imu.dtheta_b, imu.dv_b, q_nb_coarse, fixes
-    gravity, until_s = scenario.alignment.gravity_model(window.gravity), float(window.time[-1])
-    given = AlignmentInput.checked(*record, scenario.alignment.settings, scenario.imu, gravity, until_s)
+    gravity = scenario.alignment.gravity_model(window.gravity)
+    span_s = float(window.time[0]), float(window.time[-1])
+    given = AlignmentInput.checked(*record, scenario.alignment.settings, scenario.imu, gravity, span_s)
     return Run(run_id, imu, fixes, q_nb_coarse, {}, network, outlier), given
 
 

@@ -128,8 +128,8 @@ def noisy(n=2000, seed=1):
     return 500 + DT * np.arange(n), increments
 
 
-def record_of(time, increments, imu=TOLD, patience_s=2.0, until_s=None):
-    return conditioned(time, increments[:, :3], increments[:, 3:], imu, patience_s, until_s)
+def record_of(time, increments, imu=TOLD, patience_s=2.0, span_s=None):
+    return conditioned(time, increments[:, :3], increments[:, 3:], imu, patience_s, span_s)
 
 
 ACCEL_MEAN = 5
@@ -388,6 +388,36 @@ def test_a_clock_that_stays_wrong_ends_the_record_where_patience_does(by_s):
     assert record.end == 900
 
 
+@pytest.mark.parametrize("first", [0, 3, 5, 12])
+def test_samples_that_are_missing_at_the_start_are_missing(first):
+    time, increments = noisy()
+    there = np.r_[:first, first + 50 : 2000]
+    record = record_of(time[there], increments[there], span_s=(time[0], time[-1]))
+    # The first row has no interval, and nothing to hold.
+    held = 50 - (first == 0)
+    assert record.counts == {SampleOutcome.MISSING: held}
+    assert record.held == held
+    np.testing.assert_allclose(record.time, time, atol=1e-9)
+    assert (record.increments[there[1:]] == increments[there[1:]]).all()
+
+
+@pytest.mark.parametrize("by_s", [-0.2, 0.3])
+@pytest.mark.parametrize("rows", [100, 2000])
+def test_a_clock_that_is_wrong_from_the_start_is_waited_for(by_s, rows):
+    time, increments = noisy()
+    false = time.copy()
+    false[:rows] += by_s
+    record = record_of(false, increments, span_s=(time[0], time[-1]))
+    assert record.time[0] == pytest.approx(time[0], abs=1e-9)
+    if by_s > 0 and rows == 2000:
+        # Nothing tells it from samples that are missing.
+        assert record.counts == {SampleOutcome.MISSING: 29}
+    else:
+        assert record.counts == {SampleOutcome.OUT_OF_ORDER: rows}
+        np.testing.assert_allclose(record.time, time, atol=1e-9)
+        assert record.end == (201 if rows == 2000 else 2000)
+
+
 def test_copies_and_rows_too_many_take_no_time():
     time, increments = noisy()
     stale = np.insert(np.arange(2000), np.arange(50, 2000, 50), np.arange(20, 1970, 50))
@@ -417,13 +447,13 @@ def test_jitter_of_stamps_is_no_missing_sample(jitter_ms, missing):
 
 def test_samples_that_should_still_come_are_missing():
     time, increments = noisy()
-    record = record_of(time[:1500], increments[:1500], until_s=time[-1])
+    record = record_of(time[:1500], increments[:1500], span_s=(time[0], time[-1]))
     assert record.counts == {SampleOutcome.MISSING: 500}
     np.testing.assert_allclose(record.time, time, atol=1e-9)
     assert record.end == 1700
-    short = record_of(time[:1900], increments[:1900], until_s=time[-1])
+    short = record_of(time[:1900], increments[:1900], span_s=(time[0], time[-1]))
     assert (short.end, short.held) == (2000, 100)
-    assert record_of(time, increments, until_s=time[-1] + 0.7 * DT).counts == {}
+    assert record_of(time, increments, span_s=(time[0], time[-1] + 0.7 * DT)).counts == {}
 
 
 def test_good_samples_make_up_for_as_many_held_ones():
