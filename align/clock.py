@@ -157,12 +157,8 @@ def _restored(
         if start is None:
             raise ValueError("time must increase, over two rows or more")
         rows = int(count[-1]) + 1
-        return (
-            np.zeros(len(time), bool),
-            row[:0],
-            np.linspace(start, start + dt * count[-1], rows),
-            np.ones(rows, bool),
-        )
+        new_time = np.linspace(start, start + dt * count[-1], rows)
+        return np.zeros(len(time), bool), row[:0], new_time, np.ones(rows, bool)
     # Samples that were refused at either end have had their time all the same.
     before, after = int(count[taken][0]), int(count[-1] - count[taken][-1])
     if start is None:
