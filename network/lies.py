@@ -93,10 +93,13 @@ class Lies:
 
     def __init__(self, lies: Sequence[Lie], anchor: Booleans, start_s: float, rng: Generator) -> None:
         self.since_s: Array = np.full(len(anchor), np.nan)
-        """(n,) s, from when on each node lies; NaN for honest ones."""
+        """(n,) s, from when on each node lies; NaN for honest ones, and so for those that are to lie of their
+        place and are no anchors in this run."""
         self._told: list[tuple[Lie, float, Integers, Array]] = []
         for lie, child in zip(lies, rng.spawn(len(lies)), strict=True):
             nodes, since_s = lie.drawn(anchor, child), start_s + lie.start_s
+            if isinstance(lie, _OfPlace):
+                nodes = nodes[anchor[nodes]]
             angle = 2 * np.pi * child.random(len(anchor))[nodes] * (lie.direction == "own")
             turn = np.zeros((len(nodes), 3, 3))
             turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)

@@ -9,7 +9,7 @@ from fleetalign.cosim.scenario import ScenarioError, load_scenario, replaced
 from fleetalign.network.faults import NetworkFaults, drawn
 from fleetalign.network.fleet import CentrePath, Fleet, draw_formation
 from fleetalign.network.fleet_network import FleetNetwork, fly_network
-from fleetalign.network.lies import Chosen
+from fleetalign.network.lies import Chosen, FalseRanges, Lies, Offset
 from fleetalign.network.radio import Radio
 from fleetalign.network.record import FixFate
 from fleetalign.sins import earth
@@ -162,6 +162,16 @@ def test_who_is_chosen():
     assert len(Chosen(anchor_share=0.34).drawn(anchor, np.random.default_rng(1))) == 2
     assert len(Chosen(anchor_share=1.0, anchors=9).drawn(anchor, np.random.default_rng(1))) == 5
     assert len(Chosen().drawn(anchor, np.random.default_rng(1))) == 0
+
+
+def test_of_their_place_only_anchors_lie():
+    anchor = np.arange(20) % 4 == 1
+    told = Offset(nodes=tuple(range(1, 8)), direction="own"), FalseRanges(nodes=(2,), start_s=3.0)
+    lies = Lies(told, anchor, START_S, np.random.default_rng(1))
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(lies.since_s)), [1, 2, 5])
+    np.testing.assert_array_equal(lies.since_s[[1, 2, 5]], START_S + np.array([0.0, 3.0, 0.0]))
+    off = np.linalg.norm(lies.positions_n(np.array([START_S])), axis=-1)
+    np.testing.assert_allclose(off, [300.0 * np.isin(np.arange(20), [1, 5])])
 
 
 @pytest.mark.parametrize(
