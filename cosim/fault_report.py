@@ -67,8 +67,12 @@ def _network(found: Mapping[str, Any] | None) -> str | None:
     if found["quarantined_at_end"] != found["quarantined"]:
         told += f" ({100 * found['quarantined_at_end']:.1f} % at the end)"
     told += f"; {found['false_quarantines']} honest nodes were, {found['false_at_end']} at the end"
-    suspects = found["honest_suspects"]
-    return told + (f"; {suspects} stood back as suspects of a start" if suspects else "")
+    if found["honest_suspects"]:
+        at_end = found["honest_suspects_at_end"]
+        told += f"; {found['honest_suspects']} stood back as suspects of a start, {at_end} at the end"
+    if found["disturbed_runs"]:
+        told += f"; in {found['disturbed_runs']} runs nodes contradicted each other and none could be named"
+    return told
 
 
 _NAME = 13

@@ -14,6 +14,7 @@ from ..align.estimate import JUMP_SIGMAS, Array, Estimate, FixOutcome, NavStatus
 from ..network.fleet_network import FleetNetwork
 from ..network.record import FaultRecord
 from ..sins import attitude, earth
+from ..sins.imu import Imu
 from .network_fault_score import mean_and_most, network_figures, share
 from .outages import figures_of
 from .papers import statistics
@@ -24,27 +25,36 @@ from .score import FilterScore
 
 AFTER_S = 30.0
 """After an outage, at which errors are told."""
-_JITTER = 6 * np.sqrt(2)
-"""Standard deviations of the vibration by which the measured velocity may differ from row to row."""
 
 
-def jumps(estimate: Estimate, truth: Flight, vibration_mps: float) -> tuple[int, int]:
-    """Rows where the error moved by more than `JUMP_SIGMAS` standard deviations, of the row before and of
-    its own, and how many of them no flag tells.
+def jumps(estimate: Estimate, truth: Flight, imu: Imu) -> tuple[int, int]:
+    """Rows where the error moved by more than `JUMP_SIGMAS` standard deviations, the larger of the row before
+    and of its own, and how many of them no flag tells.
 
-    What vibration adds to the velocity is no correction, nor is what samples that are held add to all, which
-    the row's own deviations know. All else moves by corrections, but for little.
+    ``imu`` is what the filter was given. What vibration added to the velocity is no correction and is taken
+    out, nor is what samples that are held add to all, which the row's own deviations know. All else moves by
+    corrections, but for little.
     """
     rows = np.searchsorted(truth.time, estimate.time - 0.5 * truth.dt)
     position = earth.displacement_n(estimate.lla, truth.lla[rows])
     phi = attitude.misalignment(estimate.q_nb, truth.q_nb[rows])
-    errors = np.hstack([position, estimate.v_n - truth.v_n[rows], phi])
-    jitter = np.repeat([0.0, _JITTER * vibration_mps, 0.0], 3)
+    velocity = estimate.v_n - truth.v_n[rows]
+    if imu.errors.vibration is not None:
+        velocity -= attitude.rotate(estimate.q_nb, _felt(imu, imu.errors.vibration, estimate.time, truth.dt))
+    errors = np.hstack([position, velocity, phi])
     with np.errstate(invalid="ignore"):
         sd = np.maximum(estimate.sd[:-1, :9], estimate.sd[1:, :9])
-        moved = np.abs(np.diff(errors, axis=0)) > JUMP_SIGMAS * sd + jitter
+        moved = np.abs(np.diff(errors, axis=0)) > JUMP_SIGMAS * sd
     beyond = moved.any(axis=1)
     return int(beyond.sum()), int((beyond & ~estimate.jumped[1:]).sum())
+
+
+def _felt(imu: Imu, vibration: Array, time: Array, dt: float) -> Array:
+    """(m, 3) m/s, body, the vibration that is in the velocity at each ``time`` (m,): that of the last sample
+    until then, without those whose clock has gone back."""
+    in_order = imu.time == np.maximum.accumulate(imu.time)
+    last = np.searchsorted(imu.time[in_order], time + 0.5 * dt) - 1
+    return vibration[in_order][np.maximum(last, 0)]
 
 
 @dataclass
@@ -82,7 +92,7 @@ class FaultScorer:
                 counts["replayed_fused"] += int((used & np.isin(arrival, record.replayed_arrival)).sum())
             for kind, number in estimate.imu_samples.items():
                 counts[f"imu_{kind.name.lower()}"] += number
-            total, unflagged = jumps(estimate, self.truth, self.scenario.imu.vibration_mps)
+            total, unflagged = jumps(estimate, self.truth, run.imu)
             counts["jumps"] += total
             counts["unflagged_jumps"] += unflagged
             self._told.setdefault(name, []).append(self._alone_after(estimate))

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 
 from ..align.estimate import Array
-from ..network.record import FaultRecord
+from ..network.record import FaultRecord, QuarantineReason
 
 
 def network_figures(records: Iterable[FaultRecord]) -> dict[str, Any]:
     """What the network made of those that lie, over all runs: shares and times of quarantines, which count
     though a node was asked back; and what was left of them at the end."""
     found, lying, honest = [], 0, 0
-    kept = false = false_at_end = suspects = 0
+    kept = false = false_at_end = suspects = suspects_at_end = disturbed = 0
     for record in records:
         lies, found_s = np.isfinite(record.lying_s), record.found_s
         found_out = np.isfinite(found_s)
@@ -24,6 +24,8 @@ def network_figures(records: Iterable[FaultRecord]) -> dict[str, Any]:
         false_at_end += int(record.out_without_cause.sum())
         kept += int((found_out & np.isfinite(record.quarantined_s)).sum())
         suspects += int((record.suspected & ~lies).sum())
+        suspects_at_end += int(((record.quarantined_for == QuarantineReason.START) & ~lies).sum())
+        disturbed += len(record.disturbed_s) > 0
         found += list((found_s - record.lying_s)[found_out])
     return {
         "lying": lying,
@@ -33,6 +35,8 @@ def network_figures(records: Iterable[FaultRecord]) -> dict[str, Any]:
         "false_quarantines": false,
         "false_at_end": false_at_end,
         "honest_suspects": suspects,
+        "honest_suspects_at_end": suspects_at_end,
+        "disturbed_runs": disturbed,
         "false_share": share(false, honest),
     }
 

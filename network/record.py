@@ -91,8 +91,12 @@ class FaultRecord:
 
     @property
     def out_without_cause(self) -> Booleans:
-        """(n,) nodes that are left out at the end, for whatever reason, and had not lied until they were."""
-        return np.isfinite(self.quarantined_s) & ~(self.quarantined_s >= self.lying_s)
+        """(n,) those of `left_out_without_cause` that have not been asked back since, nor found out again
+        after a lie."""
+        false = np.zeros(len(self.lying_s), np.bool_)
+        for node, t in self._found_out:
+            false[node] = not t >= self.lying_s[node]
+        return false & np.isin(self.quarantined_for, (QuarantineReason.BELIEF, QuarantineReason.RANGES))
 
     @property
     def _found_out(self) -> list[tuple[int, float]]:

@@ -50,16 +50,39 @@ def test_a_fault_is_judged_against_its_twin(stated, gao2009):
 def test_a_jump_without_a_flag_is_found(run, window):
     """Of 4 standard deviations to the north, and of 2, from one row on."""
     found = run.estimates["ekf_stamped"]
-    assert jumps(found, window, 0.01)[1] == 0
-    before, _ = jumps(found, window, 0.01)
+    assert jumps(found, window, run.imu)[1] == 0
+    before, _ = jumps(found, window, run.imu)
     for sigmas, more in ((4.5, 1), (2.0, 0)):
         lla = found.lla.copy()
         lla[200:, 0] += sigmas * found.sd[199, 0] / 6.37e6
-        total, unflagged = jumps(replace(found, lla=lla), window, 0.01)
+        total, unflagged = jumps(replace(found, lla=lla), window, run.imu)
         assert (total - before, unflagged) == (more, more)
         told = found.jump.copy()
         told[200] = sigmas
-        assert jumps(replace(found, lla=lla, jump=told), window, 0.01) == (total, 0)
+        assert jumps(replace(found, lla=lla, jump=told), window, run.imu) == (total, 0)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_vibration_hides_no_jump_of_velocity(run, window, axis, sign):
+    """0.6 standard deviations above the threshold and as much below, at every 20th row of the second half:
+    there corrections are of up to a half, and vibration moves the velocity by one from row to row."""
+    found = run.estimates["ekf_stamped"]
+    rows = np.arange(200, len(found.time), 20)
+    for sigmas, seen in ((3.6, 1), (2.4, 0)):
+        for row in rows:
+            v_n = found.v_n.copy()
+            v_n[row:, axis] += sign * sigmas * max(found.sd[row - 1 : row + 1, 3 + axis])
+            assert jumps(replace(found, v_n=v_n), window, run.imu) == (seen, seen), row
+
+
+def test_nothing_jumps_without_faults_though_the_imu_vibrates(stated, flight, window):
+    """Ten times as much as by default: it moves the velocity by five standard deviations from row to row."""
+    scenario = replaced(stated, {"alignment.filters": FILTERS, "imu.vibration_mps": 0.1})
+    for run_id in range(5):
+        run = simulate(scenario, flight, run_id, 1)
+        for found in run.estimates.values():
+            assert jumps(found, window, run.imu)[1] == 0
 
 
 def test_counts_are_of_what_became_of_fixes(stated, flight, window):
@@ -171,7 +194,32 @@ def test_who_was_asked_back_was_left_out_all_the_same():
     line = told_faults({"faults": {"x": {"against": None, "filters": {}, "network": back}}})[-1]
     assert "100.0 % of them were quarantined after 3.0 s, 4.0 s at most (50.0 % at the end)" in line
     line = told_faults({"faults": {"x": {"against": None, "filters": {}, "network": found}}})[-1]
-    assert line.endswith("; 2 honest nodes were, 0 at the end; 1 stood back as suspects of a start")
+    assert line.endswith(
+        "; 2 honest nodes were, 0 at the end; 1 stood back as suspects of a start, 0 at the end"
+    )
+
+
+def test_suspects_of_a_start_are_counted_apart_at_any_time_and_at_the_end():
+    nan = np.nan
+    # Two suspects, of whom one was let in; one that is out, one asked back; one found out, and again when it
+    # lied.
+    told = record([nan, nan, nan, nan, 10], [[], [], [5], [6], [7, 12]], [3], [0], [1])
+    found = network_figures([told])
+    assert (found["honest_suspects"], found["honest_suspects_at_end"]) == (2, 1)
+    assert (found["false_quarantines"], found["false_at_end"]) == (3, 1)
+    line = told_faults({"faults": {"x": {"against": None, "filters": {}, "network": found}}})[-1]
+    assert line.endswith(
+        "; 3 honest nodes were, 1 at the end; 2 stood back as suspects of a start, 1 at the end"
+    )
+
+
+def test_runs_in_which_nodes_contradicted_each_other_and_none_was_named_are_told():
+    quiet = record([np.nan], [[]])
+    found = network_figures([quiet, replace(quiet, disturbed_s=np.array([3.0, 4.0]))])
+    assert found["disturbed_runs"] == 1
+    line = told_faults({"faults": {"x": {"against": None, "filters": {}, "network": found}}})[-1]
+    assert line.endswith("; in 1 runs nodes contradicted each other and none could be named")
+    assert network_figures([quiet])["disturbed_runs"] == 0
 
 
 def test_forged_packets_are_counted_where_somebody_attacks(run, gao2009, window):

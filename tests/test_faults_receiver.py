@@ -73,7 +73,7 @@ def outage(faults):
         scorer.add(run)
         for name, found in run.estimates.items():
             told[name].append(found.status)
-            moved.append(jumps(found, window, scenario.imu.vibration_mps))
+            moved.append(jumps(found, window, run.imu))
     return scenario.outages[0], scorer.scores(), {n: np.stack(s) for n, s in told.items()}, np.array(moved)
 
 
@@ -171,13 +171,13 @@ def test_a_jump_after_an_outage_is_flagged(faults, name):
         off = run.imu.dv_b.copy()
         off[(since > gap.start_s) & (since < gap.end_s), 0] += 2e-3 * 9.8 * window.dt
         found = again(scenario, window, replace(run, imu=replace(run.imu, dv_b=off)), run.fixes, name)
-        total, unflagged = jumps(found, window, scenario.imu.vibration_mps)
+        total, unflagged = jumps(found, window, run.imu)
         assert total > 0
         assert unflagged == 0
         after = found.time[found.jumped] - window.time[0] - gap.end_s
         assert ((after > 0) & (after < 5)).all()
         # Without its flags the same jump is one that nobody tells.
-        assert jumps(replace(found, jump=np.zeros_like(found.jump)), window, 0.01)[1] == total
+        assert jumps(replace(found, jump=np.zeros_like(found.jump)), window, run.imu)[1] == total
 
 
 @pytest.mark.parametrize("name", ["ekf_stamped", "l2linf", "srckf_stamped"])
@@ -191,7 +191,7 @@ def test_a_restart_is_a_jump_and_is_flagged(stated, flight, window, name):
     )
     found = again(scenario, window, run, replace(run.fixes, lla=lla), name)
     assert found.count(FixOutcome.INITIALIZED) == 2
-    total, unflagged = jumps(found, window, scenario.imu.vibration_mps)
+    total, unflagged = jumps(found, window, run.imu)
     assert total > 0
     assert unflagged == 0
     restart = np.flatnonzero(found.fix_outcome == FixOutcome.INITIALIZED)[1]
