@@ -1,5 +1,6 @@
 """The figures of a campaign's report, as SVG text."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib as mpl
@@ -20,6 +21,9 @@ _MOST_CURVES = 40
 """Points whose convergence is drawn: more of them would be a blot."""
 _MOST_NAMED = 8
 """Points whose numbers stand at the ends of their lines."""
+ALIKE = "Lines join the points that are alike on the other axes, whose values stand at their ends."
+MEDIANS = "Lines join medians over the points of one value, which differ on the other axes."
+APART = "No line joins the points: hardly two have the same value, and all differ on the other axes, too."
 
 
 def draw_campaign(summary: CampaignSummary) -> dict[str, str]:
@@ -31,8 +35,7 @@ def draw_campaign(summary: CampaignSummary) -> dict[str, str]:
 
 
 def _along(summary: CampaignSummary, axis: str) -> Figure:
-    """RMS over one axis: a dot with its interval for each point, and a line through the points that are alike
-    on the other axes; where these are too many for that, through medians of equal values."""
+    """RMS over one axis: a dot with its interval for each point, and lines as `joined` has it."""
     figure, (row,) = panels(1, len(UNITS), 3.4)
     coordinates = summary.plan["coordinates"]
     values = [point[axis] for point in coordinates]
@@ -40,11 +43,7 @@ def _along(summary: CampaignSummary, axis: str) -> Figure:
     names = sorted({str(value) for value in values})
     place = np.array([float(v) if ordered else float(names.index(str(v))) for v in values])
     log = bool(summary.plan["settings"]["axes"][axis].get("log"))
-    others = [
-        ", ".join(short(value) for name, value in point.items() if name != axis) for point in coordinates
-    ]
-    lines = list(dict.fromkeys(others))
-    lines = lines if len(lines) <= min(_MOST_LINES, len(others) // 2) else []
+    others, how = _others(coordinates, axis), joined(coordinates, axis)
     filters = _by_filter(summary)
     for ax, (group, unit) in zip(row, UNITS.items(), strict=True):
         for number, (name, scores) in enumerate(filters.items()):
@@ -52,18 +51,24 @@ def _along(summary: CampaignSummary, axis: str) -> Figure:
             x = _aside(place, number - (len(filters) - 1) / 2, log)[points]
             y, low, high = np.array([s.rms[group] for s in scores]).T
             reach = np.nan_to_num(np.vstack([y - low, high - y]))
-            look = {"linestyle": "none", "marker": "o", "markersize": 3.5, "color": filter_color(name)}
+            look: dict[str, Any] = {
+                "linestyle": "none",
+                "marker": "o",
+                "markersize": 3.5,
+                "color": filter_color(name),
+            }
             ax.errorbar(x, y, yerr=np.maximum(reach, 0), elinewidth=0.8, **look)
-            ax.plot([], color=filter_color(name), linewidth=1.2, label=name)
-            if lines:
-                for line in lines:
+            key = look if how == APART else {"color": filter_color(name), "linewidth": 1.2}
+            ax.plot([], label=name, **key)
+            if how == ALIKE:
+                for line in dict.fromkeys(others):
                     mine = np.array([others[point] == line for point in points])
                     order = np.argsort(x[mine])
                     at, rms = x[mine][order], y[mine][order]
                     ax.plot(at, rms, color=filter_color(name), linewidth=0.9, alpha=0.8)
                     if number == 0 and line and len(at) and np.isfinite(rms[-1]):
                         ax.annotate(line, (at[-1], rms[-1]), (4, 4), textcoords="offset points", fontsize=7)
-            else:
+            elif how == MEDIANS:
                 centres = sorted(set(x))
                 known = [y[(x == c) & np.isfinite(y)] for c in centres]
                 medians = [np.median(some) if len(some) else np.nan for some in known]
@@ -76,6 +81,19 @@ def _along(summary: CampaignSummary, axis: str) -> Figure:
         log_scale(ax)
     legend(figure, row[0])
     return figure
+
+
+def joined(coordinates: Sequence[Mapping[str, Any]], axis: str) -> str:
+    """Which points lines join along an axis: `ALIKE`, `MEDIANS`, or `APART` where a line would be no trend,
+    since from each point to the next all other axes change."""
+    if len(set(_others(coordinates, axis))) <= min(_MOST_LINES, max(len(coordinates) // 2, 1)):
+        return ALIKE
+    return MEDIANS if len({point[axis] for point in coordinates}) <= len(coordinates) // 2 else APART
+
+
+def _others(coordinates: Sequence[Mapping[str, Any]], axis: str) -> list[str]:
+    """Of each point its values on the other axes."""
+    return [", ".join(short(value) for name, value in point.items() if name != axis) for point in coordinates]
 
 
 def _aside(place: Array, by: float, log: bool) -> Array:

@@ -186,15 +186,13 @@ def kept_base(folder: Path, plan: dict[str, Any]) -> Scenario:
 
 
 def read_points(folder: Path) -> Iterator[tuple[int, pa.Table]]:  # pyright: ignore[reportUnknownParameterType]
-    """The rows of each point that has any, in order; one point at a time, whatever the campaign's size.
+    """Each shard's point and rows, in order of points and runs; one shard at a time, whatever their number.
 
     Raises `ScenarioError` for a file that is no whole shard.
     """
-    by_point: dict[int, list[Path]] = {}
-    for path in sorted((folder / _SHARDS).glob("*.parquet")):
-        by_point.setdefault(_point(path), []).append(path)
-    for point, paths in by_point.items():
-        yield point, pa.concat_tables([_rows(path, point) for path in paths])
+    paths = sorted((folder / _SHARDS).glob("*.parquet"))
+    for point, path in zip(list(map(_point, paths)), paths, strict=True):
+        yield point, _rows(path, point)
 
 
 def _point(path: Path) -> int:

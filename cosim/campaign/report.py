@@ -15,7 +15,7 @@ from ..outputs import write_json
 from ..pages import number, write_page
 from ..scenario import Scenario, replaced
 from ..scenario_file import write_scenario
-from .figures import draw_campaign, short
+from .figures import draw_campaign, joined, short
 from .incidents import GREATEST
 from .ledger import POINTS, kept_base
 from .summary import CampaignSummary, summarize
@@ -34,6 +34,9 @@ _BEFELL = {
     "honest_quarantined": ("honest ones of them", 2),
 }
 """Headings and digits for `incidents.NAMES`."""
+_WITHOUT_FLIGHT = "FlightError", "ScenarioError"
+"""Errors of a flight that ends early, and of one that does not hold the alignment."""
+NO_FLIGHT = "no flight to align on, so a replay would record nothing"
 
 
 def write_report(folder: Path, command: str) -> CampaignSummary:
@@ -68,6 +71,8 @@ def write_report(folder: Path, command: str) -> CampaignSummary:
         folder=folder,
         command=command,
         shown=short,
+        joined=joined,
+        no_flight=NO_FLIGHT,
     )
     (folder / POINTS).mkdir(exist_ok=True)
     for point, scenario in named.items():
@@ -75,18 +80,22 @@ def write_report(folder: Path, command: str) -> CampaignSummary:
     return summary
 
 
-def replay_command(folder: Path, row: dict[str, Any]) -> str:
-    """The command that makes a recording of one of `CampaignSummary.worst`."""
+def replay_command(folder: Path, row: dict[str, Any]) -> str | None:
+    """The command that makes a recording of one of `CampaignSummary.worst` in a folder of its own; None where
+    nothing would be recorded."""
+    if (row["failure"] or "").split(":")[0] in _WITHOUT_FLIGHT:
+        return None
     scenario = folder / POINTS / f"{row['point']:06d}.toml"
-    return shlex.join(["fleetalign", "run", str(scenario), "--run-id", str(row["run"])])
+    out = folder / "replays" / f"p{row['point']:06d}_r{row['run']:07d}"
+    return shlex.join(["fleetalign", "run", str(scenario), "--run-id", str(row["run"]), "--out", str(out)])
 
 
 def told_worst(folder: Path, worst: Iterable[dict[str, Any]]) -> list[str]:
-    """A line for the first of each filter: how bad, and the command that replays it."""
+    """A line for the first of each filter: how bad, and the command that replays it, if one can."""
     lines = []
     for name, row in {row["filter"]: row for row in reversed(list(worst))}.items():
         why = row["failure"] or f"NEES {row['nees']:.1f} of 3"
-        lines.append(f"worst      {name}, {why}: {replay_command(folder, row)}")
+        lines.append(f"worst      {name}, {why}: {replay_command(folder, row) or NO_FLIGHT}")
     return lines[::-1]
 
 
@@ -138,6 +147,7 @@ def _table(summary: CampaignSummary, count: int) -> Table:
         table.add_column(heading, justify="right", no_wrap=True)
     for score in summary.scores[:_LINES]:
         at = summary.plan["coordinates"][score.point]
+        place = str(score.point), *(short(at[name]) for name in axes[:count])
         figures = [number(score.rms[g][0], d) for g, d in (("level", 1), ("heading", 2), ("velocity", 3))]
         failed = f"{score.failed}/{score.runs}"
         table.add_row(*place, score.filter, *figures, number(score.nees, 2), failed)
@@ -145,4 +155,3 @@ def _table(summary: CampaignSummary, count: int) -> Table:
     left_out += names[count:]
     table.caption = Text(f"in the report: {', '.join(left_out)}") if left_out else None
     return table
-        place = str(score.point), *(short(at[name]) for name in axes[:count])
