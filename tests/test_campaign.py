@@ -744,17 +744,25 @@ def test_one_run_alone_is_that_run_among_the_others(command, file, tmp_path, und
     assert "--run-id: not beside --runs" in err
 
 
-@pytest.mark.parametrize("design", ["grid", "latin_hypercube"])
-def test_a_bad_value_among_many_points_is_told_soon(command, file, monkeypatch, design):
+@pytest.mark.parametrize(
+    ("design", "change", "told"),
+    [
+        ("grid", ("[0.1, 0.2]", "[0.1, 0.2, -3, 0.3]"), "fixes.velocity_sd_mps = -3"),
+        ("latin_hypercube", ("[0.1, 0.2]", "[0.1, 0.2, -3, 0.3]"), "fixes.velocity_sd_mps = -3"),
+        # Bad at two of 2000 points.
+        ("latin_hypercube", ("low = 5", "low = -0.01"), "fixes.position_sd_m = -0.0"),
+    ],
+)
+def test_a_bad_value_among_many_points_is_told_soon(command, file, monkeypatch, design, change, told):
     checked, replaced = [], plan.replaced
     monkeypatch.setattr(plan, "replaced", lambda *how, **more: checked.append(1) or replaced(*how, **more))
     stated = CAMPAIGN.replace("seed = 7", f'seed = 7\ndesign = "{design}"\npoints = 2000')
     for axis in ("position_sd_m", "rate_hz"):
         stated += f'[axes."fixes.{axis}"]\nlow = 5\nhigh = 10\nsteps = 20\n'
-    file.write_text(stated.replace("[0.1, 0.2]", "[0.1, 0.2, -3, 0.3]"))
+    file.write_text(stated.replace(*change, 1))
     status, _, err = command("campaign", file)
     assert status == 2
-    assert "fixes.velocity_sd_mps = -3" in err
+    assert told in err
     assert len(err.splitlines()) == 1
     # The two at the ends of the design, of both ranges, and some of the values before it.
     assert len(checked) <= 10
