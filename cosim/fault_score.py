@@ -31,9 +31,9 @@ def jumps(estimate: Estimate, truth: Flight, imu: Imu) -> tuple[int, int]:
     """Rows where the error moved by more than `JUMP_SIGMAS` standard deviations, the larger of the row before
     and of its own, and how many of them no flag tells.
 
-    ``imu`` is what the filter was given. What vibration added to the velocity is no correction and is taken
-    out, nor is what samples that are held add to all, which the row's own deviations know. All else moves by
-    corrections, but for little.
+    ``imu`` is what the filter was given. What vibration adds to the velocity is no correction, and is taken
+    out; what held samples add to all is in the row's own deviations. All else moves by corrections, but for
+    little.
     """
     rows = np.searchsorted(truth.time, estimate.time - 0.5 * truth.dt)
     position = earth.displacement_n(estimate.lla, truth.lla[rows])
