@@ -600,7 +600,7 @@ def test_what_is_broken_in_pieces_leaves_an_honest_covariance(some, stated, wind
         time, increments = run.imu.time.copy(), np.hstack([run.imu.dtheta_b, run.imu.dv_b])
         fault(time, increments, rng)
         measured = time, increments[:, :3], increments[:, 3:], run.q_nb_coarse, run.fixes
-        told = stated.alignment.settings, stated.imu, window.gravity, float(window.time[-1])
+        told = stated.alignment.settings, stated.imu, window.gravity, (window.time[0], window.time[-1])
         found = align(AlignmentInput.checked(*measured, *told), DelayModel.STAMPED)
         assert found.outcome is RunOutcome.ALIGNED
         rows = np.searchsorted(window.time, found.time - 0.6 * DT)
